@@ -23,9 +23,7 @@ from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, Gaus
 
 DIRECTIONS = 128  # number of direction bins of the sphere, stored in 2 x 64 bits per Gaussian (as in COVER)
 REACH = 5.0  # metres of measured depth; keyframes count up to it in ActiveGS's `nearness` and `concentration`
-# A Gaussian is seen if it is at most _SLACK_M (metres) plus _SLACK_SHARE of the depth behind the measured surface.
-_SLACK_M = 0.05
-_SLACK_SHARE = 0.05
+_SLACK_M = 0.05  # metres behind the measured surface up to which a Gaussian is seen; interior walls are thicker
 _CELLS = 64  # number of cells per side of the table that maps a direction to its bin
 # Columns of the kernel's sums: count, sum of v, sum of products v v^T, and for both sides nearness, count and sum of v.
 _V, _PRODUCTS, _SIDES = slice(1, 4), slice(4, 10), slice(10, 20)
@@ -52,9 +50,10 @@ class ViewDirections:
 def view_directions(mapper: KeyframeMapper) -> ViewDirections:
     """Return the `ViewDirections` of all Gaussians and keyframes.
 
-    A keyframe sees a Gaussian if its mean projects into the image and is not behind the surface measured there. It
-    faces the front if n v > 0 and this depth is below 5 m. The front is the side with the larger nearness. Isotropic
-    Gaussians have no normal; n v is 1 for them.
+    A keyframe sees a Gaussian if its mean projects into the image and is at most 5 cm behind the surface measured
+    there. The deepest of its pixel and the neighbours counts, since on slanted surface the depth changes within a
+    pixel. The keyframe faces the front if n v > 0 and this depth is below 5 m. The front is the side with the larger
+    nearness. Isotropic Gaussians have no normal; n v is 1 for them.
     """
     gaussians, isotropic = mapper.map, mapper.isotropic
     count = gaussians.count
@@ -146,8 +145,16 @@ def _add_view(
             v = lens[1] * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / deep + lens[3]
             if not (0.0 <= u < width and 0.0 <= v < height):
                 continue
-            measured = depth[int(v), int(u)]
-            if not 0.0 < deep <= measured * (1.0 + _SLACK_SHARE) + _SLACK_M or measured <= 0.0:
+            row, column = int(v), int(u)
+            measured = depth[row, column]
+            if measured <= 0.0:
+                continue
+            farthest = measured
+            if deep > measured + _SLACK_M:
+                for beside in range(max(0, row - 1), min(height, row + 2)):
+                    for at in range(max(0, column - 1), min(width, column + 2)):
+                        farthest = max(farthest, depth[beside, at])
+            if deep > farthest + _SLACK_M:
                 continue
             x, y, z = eye[0] - x, eye[1] - y, eye[2] - z
             distance = np.sqrt(x * x + y * y + z * z)

@@ -117,6 +117,7 @@ class MapperConfig(BaseMapperConfig):
     global_psnr: float = 34.0  # dB; keyframes with a lower PSNR are global keyframes (ActiveGAMER)
     global_new_share: float = 0.1  # keyframes with a larger share of new pixels are global keyframes too (ActiveGAMER)
     psnr_refresh: int = 1  # keyframes per event, besides the new one, whose PSNR is measured again in turn (own choice)
+    psnr_of_returns: bool = False  # whether pixels without a depth return count as rendered well (ActiveGAMER: True)
 
     # Pruning
     prune_opacity: float = 0.005  # Gaussians with a lower opacity are removed (SplaTAM)
@@ -176,7 +177,10 @@ _RECIPES: Mapping[str, Mapping[str, Any]] = {
         "opacity_rate": 5e-2,
         "color_rate": 2.5e-3,
         "window": 32,
-        "psnr_refresh": 0,  # mapping measures the PSNR of a keyframe once, after its own event (ActiveGAMER)
+        # Mapping measures the PSNR of a keyframe once, after its own event (ActiveGAMER). An episode measures the worst
+        # again, for revisits.
+        "psnr_refresh": 0,
+        "psnr_of_returns": True,
         "prune_steps": (0, 20),
     },
 }

@@ -153,7 +153,11 @@ class KeyframeMapper(ABC):
             camera, pose = frame.camera, frame.world_from_camera
             unseen = parts.unseen(camera, pose, self._hiding(frame)) if parts else None
             shown = self.rasterizer.render(self.map.parameters, self.map.count, camera, pose, unseen=unseen).color
-            self._store.record_psnr(index, psnr(np.clip(shown, 0.0, 1.0), unit_rgb(frame)))
+            self._store.record_psnr(index, self._psnr_of(shown, frame))
+
+    def _psnr_of(self, shown: np.ndarray, frame: Frame) -> float:  # [H, W, 3], dB
+        """Return the PSNR of a keyframe from its rendered colours."""
+        return psnr(np.clip(shown, 0.0, 1.0), unit_rgb(frame))
 
 
 def checked_frame(frame: Frame) -> Frame:

@@ -107,7 +107,7 @@ class KeyframeStore:
     def poor(self, *, psnr_threshold: float, new_share_threshold: float) -> list[int]:
         """Return the keyframes with a PSNR below a threshold (dB) or a share of new pixels above a threshold.
 
-        These are ActiveGAMER's global keyframes. The ranking in its Matterport3D variant made no measurable difference.
+        These are ActiveGAMER's global keyframes. There, new pixels are those without any rendered depth.
         """
         return [
             k

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from activestructure_gym.geometry.curve import curve_order
-from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.geometry.frame import Frame, unit_rgb
 from activestructure_gym.mapping.base import MappingReport
 from activestructure_gym.mapping.config import MapperConfig
 from activestructure_gym.mapping.density import (
@@ -176,6 +176,11 @@ class Mapper(KeyframeMapper):
         """
         return None if self.config.seed_spacing is None else frame.depth
 
+    def _psnr_of(self, shown: np.ndarray, frame: Frame) -> float:  # [H, W, 3], dB
+        if self.config.psnr_of_returns:
+            shown = np.where(frame.depth[..., None] > 0.0, shown, unit_rgb(frame))
+        return super()._psnr_of(shown, frame)
+
     def _room_for(self, more: int) -> bool:
         """Return whether ``max_gaussians`` allows ``more`` additional Gaussians."""
         bound = self.config.max_gaussians
@@ -235,7 +240,7 @@ class Mapper(KeyframeMapper):
         self, frame: Frame, seeds: SurfaceSamples, sigma: np.ndarray, links: np.ndarray | None
     ) -> np.ndarray:  # [14, n] float32
         config = self.config
-        if config.isotropic:
+        if config.isotropic or (config.seed_thickness == 1.0 and config.border_sigmas is None):
             return seed_balls(frame, seeds, sigma, opacity=config.seed_opacity)
         return seed_disks(
             frame,

@@ -259,6 +259,7 @@ class Reconstruction(EpisodeState):
         self.frames += frames
         with self._timed("mapping"):
             self.mapper.refine(round(self.config.mapper.iterations * frames / self.config.keyframe_every))
+            self.mapper.keyframe_psnr()  # so that a policy sees what staying brings
         return frames
 
     def _step_to(self, pose: np.ndarray) -> None:

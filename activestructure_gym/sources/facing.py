@@ -141,13 +141,15 @@ def empty_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of 
 
 
 def frontier_cells(volume: VoxelVolume) -> np.ndarray:  # [X, Y, Z] bool, cells of `SIDE` voxels
-    """Return which empty cells have a face in common with a cell that is at least half unobserved ([active_gs, code]).
+    """Return which empty cells have a face in common with an unobserved cell ([active_gs, code]).
 
-    The outermost layer of voxels is outside the workspace and does not count as unobserved.
+    A cell is unobserved if at least half of it is and no voxel of it is occupied: a wall is no frontier, although the
+    voxels behind its surface are unobserved. The outermost layer of voxels is outside the workspace and does not count
+    as unobserved.
     """
     inner = np.zeros(volume.shape, dtype=bool)
     inner[1:-1, 1:-1, 1:-1] = volume.unobserved[1:-1, 1:-1, 1:-1]
-    unobserved = _coarse(inner).mean(axis=-1) >= 0.5
+    unobserved = (_coarse(inner).mean(axis=-1) >= 0.5) & ~_coarse(volume.occupied).any(axis=-1)
     return np.asarray(empty_cells(volume) & ndimage.binary_dilation(unobserved))
 
 

@@ -42,22 +42,29 @@ class ActiveSplat(Planner):
     criterion = "integer score of Voronoi nodes by the missing parts of panoramas of the map"
     travel_term = "current subregion first; ties by path length, later at random"
     source = "Li et al., ActiveSplat, RA-L 2025"
-    # Values of `config/datasets`: `far` is 4 m, and `mapping_iters` for 5 frames is 2 (10 at a higher resolution). The
-    # camera goes to nodes at one height, and tilts in steps of 15 degrees up to 45.
+    # `config/datasets`: `mapping_iters` for 5 frames is 2 (10 at a higher resolution). `config/env`: depth up to 10 m
+    # (`far`, 4 m, is for other cameras than the simulator's). The camera goes to nodes at one height, and tilts in
+    # steps of 15 degrees up to 45.
     native_settings = replace(
         SPLATAM,
         stages=(("nodes?rows=476", *(f"turns?count=12&pitch_deg={pitch}" for pitch in (0, 30, -30))),),
         candidates=512,
         iterations=2,
-        # `config/splatam/online_habitat_sim.py`: ellipsoids, seeds where the silhouette is below 0.98 or the depth
-        # error above two medians, 12 keyframes per event, no pruning.
+        # `config/splatam/online_habitat_sim.py`: ellipsoids that begin as balls, seeds where the silhouette is below
+        # 0.98 or the depth error above two medians, no pruning. `src/mapper/splatam`: 12 keyframes per event, all of
+        # them recent or overlapping, with a border of 20 of 256 pixels.
         changes={
             **SQUARE_CAMERA,
-            "sensor.max_range": 4.0,
+            "sensor.max_range": 10.0,
             "mapper.isotropic": False,
+            "mapper.seed_thickness": 1.0,
+            "mapper.border_sigmas": None,
             "mapper.covered_alpha": 0.98,
             "mapper.in_front_factor": 2.0,
             "mapper.window": 12,
+            "mapper.overlap_border": 20.0 / 256.0,
+            "mapper.global_psnr": 0.0,
+            "mapper.global_new_share": 1.0,
             "mapper.prune_opacity": 0.0,
             "mapper.prune_scale": 1e9,
         },

@@ -46,8 +46,9 @@ class FisherRFPath(Greedy):
     source = "Jiang et al., FisherRF, ECCV 2024: its active mapping"
     required_features = ("fisherrf_path",)
     # Every 4th frame is a keyframe with 24 iterations (60 every 10 frames) on keyframes that overlap with it. Seeds are
-    # balls that can become ellipsoids. Candidates are scored at half of the image size, since seeds are as wide as a
-    # pixel of the image: at a quarter, aliasing raises the information about known surface 5 to 30 times.
+    # balls that can become ellipsoids, and only those below 0.0001 opacity are pruned. Candidates are scored at half of
+    # the image size, since seeds are as wide as a pixel of the image: at a quarter, aliasing raises the information
+    # about known surface 5 to 30 times.
     native_settings = NativeSettings(
         mapper="splatam",
         keyframe_every=4,
@@ -64,6 +65,9 @@ class FisherRFPath(Greedy):
             "mapper.in_front_factor": 10.0,
             "mapper.global_psnr": 0.0,
             "mapper.global_new_share": 1.0,
+            "mapper.prune_opacity": 1e-4,
+            "mapper.prune_scale": 1e9,
+            "mapper.prune_steps": (0,),
             "mapper.mean_rate": 1e-3,
             "mapper.log_scale_rate": 1e-2,
         },

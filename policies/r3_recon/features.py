@@ -18,8 +18,7 @@ EXPLORATION = 1000.0  # weight of an unexplored voxel; a surface voxel without r
 UNEXPLORED_VOXEL = 0.2  # metres, side of the unexplored voxels in the original
 COLOUR_SCALE = 1.154  # 2 / sqrt(3): the renderability is 0 if half of the colours are black and half white
 FINE = 0.01 / 5.0  # metres per pixel; nearer views than a keyframe with this resolution improve nothing
-# A voxel is visible if it is at most SLACK_M (metres) plus SLACK_SHARE of the depth behind the rendered surface.
-SLACK_M, SLACK_SHARE = 0.05, 0.05
+SLACK_M = 0.05  # metres behind the rendered surface up to which a voxel is visible, the size of a voxel
 
 
 @FEATURES.register(
@@ -43,7 +42,8 @@ def r3_recon(context: FeatureContext) -> np.ndarray:  # [K, 2]
     - s = max(0, 1 - d / d_min), where d is the distance of the view and d_min that of the nearest keyframe; s is 0 if
       1 cm covered 5 pixels in a keyframe.
 
-    A surface voxel of 5 cm is visible if its centre projects into the image and is not behind the rendered surface.
+    A surface voxel of 5 cm is visible if its centre projects into the image and is at most 5 cm behind the rendered
+    surface, at its pixel or a neighbour.
     Unexplored voxels are those of `unexplored`, in units of 0.2 m. The original does not divide by #voxels.
     """
     volume = context.volume
@@ -59,10 +59,9 @@ def r3_recon(context: FeatureContext) -> np.ndarray:  # [K, 2]
         (seen.centres, seen.directions, certainty, nearest),
         np.ascontiguousarray(context.world_from_camera, dtype=np.float64),
         context.camera.lens,
-        surface * (1.0 + SLACK_SHARE) + SLACK_M,
+        surface,
         fibonacci_directions(DIRECTIONS),
         surrounding(),
-        context.max_range,
     ).T
     return np.stack([unexplored(context) + lost / (EXPLORATION * voxels), lost / np.maximum(count, 1.0)], axis=1)
 
@@ -95,10 +94,9 @@ def lost_renderability(
     voxels: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],  # [V, 3] centres, [V] bits, [V] h, [V] d_min
     poses: np.ndarray,  # [K, 4, 4] world_from_camera
     lens: Lens,
-    surface: np.ndarray,  # [K, h, w] metres, depth behind which voxels are occluded
+    surface: np.ndarray,  # [K, h, w] metres, depth of the rendered surface, inf = none
     directions: np.ndarray,  # [64, 3] unit, one for each bit
     sides: np.ndarray,  # [64, 4] uint64, see `surrounding`
-    farthest: float,  # metres of depth
 ) -> np.ndarray:  # [K, 2]
     """Return the sum of 1 - R over the surface voxels that each candidate sees, and the number of these voxels.
 
@@ -113,11 +111,20 @@ def lost_renderability(
         for v in range(len(centres)):
             x, y, z = pose[0, 3] - centres[v, 0], pose[1, 3] - centres[v, 1], pose[2, 3] - centres[v, 2]
             deep = -(pose[0, 2] * x + pose[1, 2] * y + pose[2, 2] * z)
-            if not 0.0 < deep < farthest:
+            if deep <= 0.0:
                 continue
             column = lens[2] - lens[0] * (pose[0, 0] * x + pose[1, 0] * y + pose[2, 0] * z) / deep
             row = lens[3] - lens[1] * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / deep
-            if not (0.0 <= column < width and 0.0 <= row < height) or deep > surface[k, int(row), int(column)]:
+            if not (0.0 <= column < width and 0.0 <= row < height):
+                continue
+            line, pixel = int(row), int(column)
+            farthest = surface[k, line, pixel]
+            if deep > farthest + SLACK_M:
+                for beside in range(max(0, line - 1), min(height, line + 2)):
+                    for side in range(max(0, pixel - 1), min(width, pixel + 2)):
+                        if surface[k, beside, side] < np.inf:
+                            farthest = max(farthest, surface[k, beside, side])
+            if deep > farthest + SLACK_M:
                 continue
             distance = np.sqrt(x * x + y * y + z * z)
             cosine, best, left, at = 0.0, 0, bits[v], 0

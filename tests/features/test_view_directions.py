@@ -46,8 +46,8 @@ def test_one_look_by_hand() -> None:
 def test_what_a_keyframe_does_not_see() -> None:
     means = [
         [2.0, 0.0, 0.0],
-        [2.3, 0.0, 0.0],  # behind the measured wall
-        [2.1, 0.0, 0.0],  # behind it by less than the slack
+        [2.1, 0.0, 0.0],  # on the other side of the measured wall
+        [2.04, 0.0, 0.0],  # behind its surface by less than the slack
         [-1.0, 0.0, 0.0],  # behind the camera
         [2.0, 3.0, 0.0],  # beside the image
     ]
@@ -55,6 +55,14 @@ def test_what_a_keyframe_does_not_see() -> None:
     assert view_directions(mapper_of(means, wall)).count.tolist() == [1, 0, 1, 0, 0]
     assert view_directions(mapper_of(means, [frame([0, 0, 0], [1, 0, 0], 0.0)])).count.sum() == 0  # no return, no sight
     assert view_directions(mapper_of(means, [])).count.sum() == 0
+
+
+def test_on_slanted_surface_the_deepest_neighbour_of_a_pixel_counts() -> None:
+    steep = frame([0, 0, 0], [1, 0, 0], 2.0)
+    steep.depth[:] += 0.1 * np.arange(64, dtype=np.float32)
+    column = int(CAMERA.cx)  # the optical axis is at its left side
+    means = [[float(steep.depth[0, column + beyond]) + 0.04, 0.0, 0.0] for beyond in (0, 1, 2)]
+    assert view_directions(mapper_of(means, [steep])).count.tolist() == [1, 1, 0]
 
 
 def test_looks_from_several_sides() -> None:

@@ -125,6 +125,28 @@ def test_balls_stay_balls(room_frames):
     assert np.ptp(scales[0]) > 0
 
 
+def test_ellipsoids_that_begin_as_balls_are_not_turned(room_frames):
+    """The axes of a surface would make balls of different shape after the first step."""
+    mapper = _mapper(iterations=0, isotropic=False, seed_thickness=1.0, border_sigmas=None)
+    mapper.observe(room_frames[0])
+    seeds = mapper.map.parameters[:, : mapper.map.count]
+    assert (seeds[3:7].T == [1, 0, 0, 0]).all() and np.ptp(seeds[7:10], axis=0).max() == 0.0
+    assert mapper.map.count > 100
+
+
+@pytest.mark.parametrize("of_returns", [True, False])
+def test_the_psnr_of_a_keyframe_is_that_of_pixels_with_a_return(of_returns):
+    """Half of the image has no return, and so no Gaussian: it is black there, and white in the frame."""
+    depth = np.where(np.arange(8) < 4, 2.0, 0.0)
+    frame = dataclasses.replace(_frame(depth), rgb=np.full((6, 8, 3), 255, np.uint8))
+    mapper = _mapper(iterations=0, psnr_of_returns=of_returns)
+    mapper.observe(frame)
+    shown = np.clip(mapper.render(frame.camera, frame.world_from_camera).color, 0.0, 1.0)
+    error = (1.0 - shown.astype(float)) ** 2
+    expected = error[:, :4].sum() / error.size if of_returns else error.mean()
+    assert mapper.keyframe_psnr()[0] == pytest.approx(-10.0 * np.log10(expected), abs=1e-3)
+
+
 def test_every_event_starts_a_new_adam(room_frames):
     """The moments after an event are those of its own steps: they do not know what stood there before."""
     events = []

@@ -95,7 +95,16 @@ def test_fisherrf_path_maps_every_4th_frame_with_60_iterations_every_10_frames()
     # Ellipsoids begin as balls, and no step goes to keyframes that do not overlap with the new one.
     assert (mapper.seed_thickness, mapper.border_sigmas, mapper.in_front_factor) == (1.0, None, 10.0)
     assert (mapper.global_psnr, mapper.global_new_share) == (0.0, 1.0)
+    assert (mapper.prune_opacity, mapper.prune_steps) == (1e-4, (0,)) and mapper.prune_scale > 1e6
     assert sensor.width == sensor.height and sensor.horizontal_fov_deg == 90.0
+
+
+def test_activesplat_maps_by_its_own_configuration_of_splatam() -> None:
+    mapper = configure("full", POLICIES.get("activesplat").native_settings.overrides()).mapper
+    # Ellipsoids begin as balls, and no step goes to keyframes that do not overlap with the new one.
+    assert (mapper.isotropic, mapper.seed_thickness, mapper.border_sigmas) == (False, 1.0, None)
+    assert (mapper.global_psnr, mapper.global_new_share, mapper.window) == (0.0, 1.0, 12)
+    assert mapper.overlap_border * 256 == 20.0
 
 
 def test_fisherrf_path_is_offered_views_of_the_frontier_and_level_ones_at_one_height() -> None:
@@ -119,7 +128,7 @@ def test_view_angle_maps_200_iterations_after_each_view() -> None:
 
 def test_depth_ends_where_the_original_discards_it() -> None:
     expected = {
-        "activesplat": 4.0,
+        "activesplat": 10.0,
         "aiisrfe": 6.0,
         "anm_s": 10.0,
         "activeinr": 8.0,

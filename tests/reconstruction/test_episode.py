@@ -139,6 +139,13 @@ def test_the_map_improves_over_an_episode(box: Scene) -> None:
     assert run.mapper.map.count > 1000
 
 
+def test_a_stay_measures_what_it_brings_also_without_revisits(box: Scene) -> None:
+    run = episode(box, **{"views.stages": [["stay?rounds=4"]], "views.max_revisits": 0, "mapper.iterations": 10})
+    before = run.mapper.keyframe_psnr(renders=0)[0]
+    run.move_to(0)
+    assert run.mapper.keyframe_psnr(renders=0)[0] > before + 0.1
+
+
 def test_the_legs_of_an_episode_followed_again_give_its_map(box: Scene) -> None:
     """Ways, revisits, stays, another stage, rows that are none: whatever was decided, to the last bit."""
     stages = [["pool", "stay?rounds=2"], ["turns?count=4"]]

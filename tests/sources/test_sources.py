@@ -26,7 +26,7 @@ from activestructure_gym.sources.facing import (
     frontier_cells,
 )
 from activestructure_gym.sources.places import looking
-from activestructure_gym.volume import FREE, VoxelVolume
+from activestructure_gym.volume import FREE, OCCUPIED, UNKNOWN, VoxelVolume
 from tests.policies.test_contracts import make_scene, swap_truth
 
 SMALL = {"sensor": {"width": 64, "height": 36}, "keyframe_every": 5, "frame_budget": 60}
@@ -176,6 +176,17 @@ def test_views_of_the_frontier_face_unobserved_space_and_see_it() -> None:
         far = np.linalg.norm(away, axis=1)
         ahead = (far >= 0.3) & (far <= 2.0 + 1e-9) & (away @ pose[:3, 2] >= far * (1 - 1e-9))
         assert ahead.any() and volume.line_of_sight_free(pose[:3, 3], centres[ahead]).any()
+
+
+@pytest.mark.parametrize(("wall", "frontier"), [(None, True), (30, False), (31, False)])
+def test_a_wall_is_no_frontier_wherever_its_surface_lies_in_a_cell(wall: int | None, frontier: bool) -> None:
+    volume = VoxelVolume(np.array([[-2.0] * 3, [2.0] * 3]))
+    volume.state[:31] = FREE
+    volume.state[30] = UNKNOWN
+    if wall is not None:
+        volume.state[30] = FREE
+        volume.state[wall] = OCCUPIED  # in the near or the far voxel layer of cell 15
+    assert frontier_cells(volume).any() == frontier
 
 
 def test_a_frontier_is_the_last_empty_cell_before_unobserved_space(monkeypatch: pytest.MonkeyPatch) -> None:

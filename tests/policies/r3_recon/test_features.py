@@ -21,7 +21,7 @@ def lost(voxels: list[tuple], poses: list[np.ndarray], surface: float = np.inf) 
     rest = np.array([voxel[2:] for voxel in voxels], float).reshape(-1, 2)
     shown = np.full((len(poses), CAMERA.height, CAMERA.width), surface, np.float32)
     known = (centres, bits, np.ascontiguousarray(rest[:, 0]), np.ascontiguousarray(rest[:, 1]))
-    return lost_renderability(known, np.array(poses), CAMERA.lens, shown, SIDES, surrounding(), 10.0)[:, 0]
+    return lost_renderability(known, np.array(poses), CAMERA.lens, shown, SIDES, surrounding())[:, 0]
 
 
 def view(side: int, distance: float, turned: float = 0.0) -> np.ndarray:
@@ -56,8 +56,21 @@ def test_one_place_by_hand() -> None:
     # Never seen from anywhere, and not in sight.
     assert lost([([0, 0, 0], [], 1.0, 2.0)], [view(7, 2.0)])[0] == 1.0
     assert lost([([0, 0, 0], [7], 1.0, 2.0)], [view(7, 2.0) @ np.diag([1.0, -1, -1, 1])])[0] == 0.0
-    assert lost([([0, 0, 0], [], 1.0, 2.0)], [view(7, 2.0)], surface=1.9)[0] == 0.0  # hidden
+    assert lost([([0, 0, 0], [], 1.0, 2.0)], [view(7, 2.0)], surface=1.94)[0] == 0.0  # hidden, by a wall
+    assert lost([([0, 0, 0], [], 1.0, 2.0)], [view(7, 2.0)], surface=1.96)[0] == 1.0  # of the surface itself
+    assert lost([([0, 0, 0], [], 1.0, 9.0)], [view(7, 9.0)])[0] == 1.0  # as far as the image shows
     assert lost([], [view(7, 2.0)])[0] == 0.0
+
+
+def test_on_slanted_surface_the_deepest_neighbour_of_a_pixel_counts() -> None:
+    centre = CAMERA.height // 2, CAMERA.width // 2
+    for step, seen in ((1, 1.0), (2, 0.0)):
+        shown = np.full((1, CAMERA.height, CAMERA.width), 1.9, np.float32)
+        shown[0, centre[0], centre[1] + step] = 2.0
+        shown[0, 0, 0] = shown[0, centre[0] - 1, centre[1]] = np.inf  # an uncovered pixel next to it shows nothing
+        known = (np.zeros((1, 3)), np.zeros(1, np.uint64), np.ones(1), np.full(1, 2.0))
+        found = lost_renderability(known, view(7, 2.0)[None], CAMERA.lens, shown, SIDES, surrounding())
+        assert found.tolist() == [[seen, seen]]
 
 
 def test_many_places_against_plain_python(rng: np.random.Generator) -> None:

@@ -35,6 +35,7 @@ def activepolicy(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
     covered = alpha > context.coverage_alpha
     mean = context.depth / np.maximum(alpha, 1e-6)
     median = median_depths(context.mapper.map, context.camera, context.world_from_camera)
+    median = np.where(covered, median, mean)  # undefined there, and it would disturb the Laplacians of neighbours
     return (~covered | (disagreement(mean, median, alpha) > THRESHOLD)).mean(axis=(1, 2))
 
 

@@ -80,12 +80,18 @@ def continuation(
 
 
 def visible_cells(context: FeatureContext, surface: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool -> [K, M] bool
-    """Return which of the M voxels of ``surface`` each candidate sees; rays end at occupied and imagined voxels."""
+    """Return which of the M voxels of ``surface`` each candidate sees; rays end at occupied and imagined voxels.
+
+    The rays are at most a voxel apart where they end, so that no voxel between them counts as unseen by a plan.
+    """
     number = np.full(surface.shape, -1, np.int32)
     number[surface] = np.arange(surface.sum())
-    origin, voxel_size, poses, rays = grid_rays(context.volume, context.camera, context.world_from_camera)
+    reach, camera = min(context.max_range, context.volume.config.max_range), context.camera
+    apart = reach / context.volume.voxel_size
+    size = (int(np.ceil(pixels / f * apart)) for pixels, f in ((camera.width, camera.fx), (camera.height, camera.fy)))
+    fine = camera.resized(*size)
+    origin, voxel_size, poses, rays = grid_rays(context.volume, fine, context.world_from_camera, stride=1)
     visible = np.zeros((len(poses), int(surface.sum())), np.bool_)
-    reach = min(context.max_range, context.volume.config.max_range)
     _mark_visible(context.volume.occupied, number, origin, voxel_size, poses, rays, reach, visible)
     return visible
 

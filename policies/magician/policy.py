@@ -38,10 +38,16 @@ class Magician(Planner):
         self.search = search
 
     def act(self, observation: Observation) -> int:
-        """Return the first view of the best plan; the nearest new view if no view sees imagined surface."""
+        """Return the first view of the best plan.
+
+        If no plan sees imagined surface, for it is too far away, the view that sees most is chosen; if none does, the
+        nearest new view.
+        """
         observation = without_revisits(observation)
         candidates = self.candidates(observation)
         gain = candidates["magician_plan" if self.search == "beam" else "magician_view"]
+        if not gain[candidates.valid].any():
+            gain = candidates["magician_view"]
         if gain[candidates.valid].any():
             choice = best_valid(self.scores(gain, observation), observation)
         else:

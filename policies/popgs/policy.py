@@ -14,7 +14,7 @@ The policy ``NAME`` maximises this gain G_Q; ``NAME_cov`` includes unseen space 
 
 from __future__ import annotations
 
-from activestructure_gym.policies.base import POLICIES
+from activestructure_gym.policies.base import POLICIES, Observation, without_revisits
 from activestructure_gym.policies.greedy import Greedy
 from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
@@ -71,12 +71,19 @@ class CovTraceCov(Greedy):
 
 @POLICIES.register("popgs_info_trace")
 class InfoTrace(Greedy):
-    """Choose argmax sum d: trace of the candidate's information, independent of the keyframes."""
+    """Choose argmax sum d: trace of the candidate's information, independent of the keyframes.
+
+    Revisits are not candidates: their gain does not fall, so that one view would be chosen again and again.
+    """
 
     criterion = "the sum of the map's information"
     source = "Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_info_trace",)
     native_settings = SELECTED_VIEWS
+
+    def act(self, observation: Observation) -> int:
+        """Return the valid row with the highest gain that is no revisit, if there is one."""
+        return super().act(without_revisits(observation))
 
 
 @POLICIES.register("popgs_info_trace_cov")

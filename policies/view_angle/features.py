@@ -16,12 +16,11 @@ from activestructure_gym.mapping.frustum_culling import may_be_seen
 
 @FEATURES.register("view_angle", unit="mean of 1 - coverage", low=0.0, high=1.0)
 def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
-    """Compute 1 - the mean over pixels of the coverage of the view direction (COVER, Chen et al. 2026).
+    """Compute 1 - the mean over mapped pixels of the coverage of the view direction (COVER, Chen et al. 2026).
 
     The coverage of a Gaussian in a direction is (cos theta + 1) / 2. theta is the angle to the nearest of 128 bins of
-    directions from which a keyframe saw the Gaussian. Coverage is blended like a colour over 0, so a pixel that the map
-    does not cover has coverage 0.
-    Source: [cover, code].
+    directions from which a keyframe saw the Gaussian. Coverage is blended like a colour over 0. Pixels without any
+    Gaussian are left out; the result is 0 for a view without others. Source: [cover, code].
     """
     gaussians, camera, bins = context.mapper.map, context.camera, view_directions(context.mapper).bins
     boxes = block_boxes(gaussians.parameters, gaussians.count)
@@ -31,7 +30,9 @@ def view_angle(context: FeatureContext) -> np.ndarray:  # [K] in 0..1
         seen = may_be_seen(boxes, camera, pose)
         cover(gaussians.parameters, gaussians.count, seen, pose[:3, 3].astype(np.float64), bins, directions, row)
 
-    return 1.0 - blended(context, np.zeros(gaussians.count, np.float32), repaint=repaint).mean(axis=(1, 2))
+    coverage = blended(context, np.zeros(gaussians.count, np.float32), repaint=repaint).sum(axis=(1, 2))
+    mapped = (context.alpha > 0.0).sum(axis=(1, 2))
+    return np.where(mapped > 0, 1.0 - coverage / np.maximum(mapped, 1), 0.0)
 
 
 @kernel

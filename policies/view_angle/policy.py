@@ -14,7 +14,7 @@ class ViewAngle(Planner):
     """Choose argmin of the mean coverage of a view's directions, without a travel term.
 
     A direction is covered if a keyframe saw the surface from a near direction (feature `view_angle`). Of equal views,
-    the nearest is chosen. Early in an episode, many views see no mapped surface and score exactly 1.
+    the nearest is chosen.
     """
 
     criterion = "directions from which the map was not seen"

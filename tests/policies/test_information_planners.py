@@ -39,6 +39,12 @@ def test_the_way_counts_only_where_it_is_asked_for(name: str) -> None:
     assert bound(POLICIES.get(name)(travel="shared")).act(observed) == 0
 
 
+def test_the_information_of_a_view_that_is_taken_does_not_fall_so_it_is_not_taken_again() -> None:
+    policy = bound(POLICIES.get("popgs_info_trace")())
+    assert policy.act(observation([0.5, 0.6, 0.1], [5, 1, 1], revisit=[0, 1, 0])) == 0
+    assert policy.act(observation([0.5, 0.6], [5, 1], revisit=[1, 1])) == 1  # nothing else is offered
+
+
 def test_stages_of_hgs_planner() -> None:
     policy = bound(HGSPlanner())
     # G, G_cov: a near view, the best of all far away, a near one without anything unseen.

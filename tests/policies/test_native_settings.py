@@ -74,6 +74,7 @@ def test_rules_as_published_bring_their_schedule_and_hybrids_of_ours_bring_none(
             brought = native_settings_of(POLICIES.get(name), "native")
             assert (brought.overrides() == {}) == name.endswith("_cov"), name
             assert brought.iterations == (None if name.endswith("_cov") else 100)
+            assert ("views.max_revisits" in brought.overrides()) != name.endswith("_cov")  # a view is selected once
 
 
 def test_who_builds_on_splatam_maps_by_its_recipe_with_as_many_iterations_as_its_paper() -> None:

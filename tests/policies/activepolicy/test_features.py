@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from activestructure_gym.features import FeatureContext, evaluate_features
 from activestructure_gym.geometry import PinholeCamera, look_along
@@ -59,6 +60,13 @@ def test_disagreement_grows_with_the_ratio_and_stays_in_0_to_1() -> None:
     values = [disagreement(2.0 * image, factor * 2.0 * image, image)[0, 0, 0] for factor in (1.0, 1.05, 1.1, 1.3, 3.0)]
     assert (np.diff(values) > 0).all()
     assert 0.0 <= values[0] < values[-1] <= 1.0
+
+
+def test_the_border_of_a_hole_does_not_count_as_uncertain() -> None:
+    plate = context([(3.0, 0.99, 0.4)])
+    share = float((plate.alpha <= plate.coverage_alpha).mean())
+    assert 0.2 < share < 0.98
+    assert evaluate_features(("activepolicy",), plate)[0, 0] == pytest.approx(share)
 
 
 def test_what_is_not_covered_or_veiled_counts_and_a_wall_does_not() -> None:

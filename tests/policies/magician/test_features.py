@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from itertools import permutations
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from activestructure_gym.features import evaluate_features
-from activestructure_gym.geometry import look_along
+from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along, transform_points
 from activestructure_gym.planes.surface import Patch, SurfaceGrid
-from activestructure_gym.policies.magician.features import CAP, Costs, continuation, imagined, search
-from activestructure_gym.volume import FREE, UNKNOWN
+from activestructure_gym.policies.magician.features import CAP, Costs, continuation, imagined, search, visible_cells
+from activestructure_gym.volume import FREE, UNKNOWN, VoxelVolume
 
 
 def by_all_plans(sights: np.ndarray, costs: Costs, steps: int, frames: float) -> np.ndarray:
@@ -87,6 +88,25 @@ def test_a_wall_goes_on_through_the_unseen_and_ends_at_what_is_known(two_walls) 
     cells = continuation(node, volume, known)
     assert (cells[:, 1] > -0.01).all() and (cells[np.abs(cells[:, 2]) < 0.5, 1] < 0.8).all() and len(cells) > 100
     assert len(continuation(node, volume, ~all_wanted)) == 0
+
+
+@pytest.mark.parametrize("width", [40, 80])
+@pytest.mark.parametrize("distance", [2.0, 3.0, 4.0])
+def test_no_voxel_of_a_far_wall_is_left_for_a_view_beside(width: int, distance: float) -> None:
+    volume = VoxelVolume(np.array([[0.0, -6.0, -6.0], [6.0, 6.0, 6.0]]))
+    wall = np.zeros(volume.shape, bool)
+    wall[volume.voxel_of(np.array([distance + 1.0, 0.0, 0.0]))[0]] = True
+    eyes = np.array([[1.0, 0.0, 0.0], [1.0, 0.25, 0.0]])
+    camera = PinholeCamera.from_size(width, width * 9 // 16, 90.0)
+    context: Any = SimpleNamespace(
+        volume=volume, camera=camera, max_range=10.0,
+        world_from_camera=np.stack([look_along(eye, np.array([1.0, 0.0, 0.0])) for eye in eyes]),
+    )  # fmt: skip
+    first, second = visible_cells(context, wall)
+    centres = volume.center_of(np.argwhere(wall))
+    in_image = [camera.in_image(transform_points(invert_rigid(pose), centres)) for pose in context.world_from_camera]
+    assert first.sum() == pytest.approx(in_image[0].sum(), rel=0.06)
+    assert (second & ~first).sum() <= (in_image[1] & ~in_image[0]).sum() + 0.03 * in_image[0].sum()
 
 
 def test_views_see_what_is_imagined_and_not_what_hides_behind_it(two_walls) -> None:

@@ -30,7 +30,7 @@ def test_coverage_by_hand() -> None:
     np.testing.assert_allclose(coverage, [0.0, far, 1.0, 1.0], atol=1e-6)
 
 
-def test_the_newest_side_of_a_wall_and_what_is_not_mapped_at_all() -> None:
+def test_the_newest_side_of_a_wall_and_last_what_is_not_mapped_at_all() -> None:
     rgb = np.random.default_rng(1).integers(60, 200, (36, 64, 3)).astype(np.uint8)
     mapper = Mapper(MapperConfig(iterations=20), np.random.default_rng(0))
     straight = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))
@@ -46,9 +46,24 @@ def test_the_newest_side_of_a_wall_and_what_is_not_mapped_at_all() -> None:
         coverage_alpha=0.5, max_range=10.0, world_from_camera=np.stack(poses),
     )  # fmt: skip
     same, turned, steep, nothing = evaluate_features(("view_angle",), step)[:, 0]
-    assert same < turned < steep < nothing
-    assert nothing == 1.0
+    assert nothing == 0.0 < same < turned < steep
     # Of what is mapped: straight on it is known up to the bin and the wider fan of so near a camera, and under an angle
     # of theta beyond that it is covered by (1 + cos theta) / 2.
-    covered = (1.0 - np.array([same, turned, steep])) / step.alpha[:3].mean(axis=(1, 2))
+    mapped = (step.alpha[:3] > 0.0).mean(axis=(1, 2))
+    covered = (1.0 - np.array([same, turned, steep])) * mapped / step.alpha[:3].mean(axis=(1, 2))
     np.testing.assert_allclose(covered, 0.5 * (1 + np.cos(np.radians([0, 35, 70]))), atol=0.08)
+
+
+def test_pixels_without_a_map_do_not_make_a_view_better() -> None:
+    """From farther away the wall is a part of the image, seen from the side that the keyframe saw."""
+    mapper = Mapper(MapperConfig(iterations=20), np.random.default_rng(0))
+    straight = look_along(np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    rgb = np.full((36, 64, 3), 128, np.uint8)
+    mapper.observe(Frame(rgb, np.full((36, 64), 2.0, np.float32), straight, CAMERA))
+    far = look_along(np.array([-4.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+    step = FeatureContext(
+        mapper=mapper, volume=None, planes=None, camera=CAMERA.resized(32, 18), bounds=np.zeros((2, 3)),
+        coverage_alpha=0.5, max_range=10.0, world_from_camera=far[None],
+    )  # fmt: skip
+    assert (step.alpha == 0.0).mean() > 0.5
+    assert evaluate_features(("view_angle",), step)[0, 0] < 0.2

@@ -46,8 +46,7 @@ SHOWN = {  # columns by metric: heading, decimals, function that selects the bes
 }
 # Files of few runs on many scenes, which are the sample: intervals are over the means of the scenes.
 POOLED = (
-    "procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_2000_unseen.csv", "phases_rooms.csv",
-    "learned_300.csv", "learned_2000.csv",
+    "procthor.csv", "phases_300.csv", "phases_2000.csv", "phases_rooms.csv", "learned_300.csv", "learned_2000.csv",
 )  # fmt: skip
 DIFFERENCES = {"observed_area": ("exploration", 1), "psnr": ("PSNR", 2)}  # differences to the baseline: name, decimals
 OF_PAIRS = {
@@ -75,11 +74,12 @@ PHASES = {  # tables of the phases by file: pairs of policies
         (_FULL, "hole_area"),
         ("unseen", "unknown_volume"),
     ),
-    "phases_2000.csv": ((_FULL, "unknown_volume"),),
-    "phases_2000_unseen.csv": (
+    "phases_2000.csv": (
+        (_FULL, "unknown_volume"),
         (_UNSEEN, "unseen"),
-        (_UNSEEN, _FULL),
         (_FULL, "unseen"),
+        (_UNSEEN, _FULL),
+        ("unseen", "unknown_volume"),
     ),
     "phases_rooms.csv": (
         (f"{_FULL}?{_REVISITS}", "unknown_volume"),

@@ -92,11 +92,11 @@ def comments_of(source: str) -> Iterator[tuple[int, str]]:
 def messages_of(path: Path) -> Iterator[tuple[int, str]]:
     """Yield strings of at least three words in one line: errors, help texts, captions. Each "{...}" becomes "x"."""
     parts = {id(part) for node in nodes(path) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
-    docstrings = {id(node.value) for node in nodes(path) if isinstance(node, ast.Expr)}
+    elsewhere = parts | {id(node.value) for node in nodes(path) if isinstance(node, ast.Expr)}  # docstrings
     for node in nodes(path):
         if isinstance(node, ast.JoinedStr):
             text = "".join(str(part.value) if isinstance(part, ast.Constant) else "x" for part in node.values)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts | docstrings:
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in elsewhere:
             text = node.value
         else:
             continue

@@ -19,6 +19,7 @@ from activestructure_gym.policies.greedy import Planner, Travel
 from activestructure_gym.policies.native_settings import SQUARE_CAMERA, NativeSettings
 
 REACHED_M = 0.8  # metres from the target at which the next one is chosen
+NEARER_M = 0.01  # metres by which a view must be nearer to the target than the agent, or it would only turn in place
 PATIENCE = 100  # frames after which the next target is chosen (steps of 6.5 cm or 10 degrees in [activeinr, code])
 
 
@@ -28,8 +29,8 @@ class ActiveINR(Planner):
 
     Clusters are connected parts of the most uncertain 80 % of the surface, each at least 0.5 % of it. Targets that are
     free, more than 1 m away and inside the bounding box of what the newest keyframe sees are preferred (feature
-    ``activeinr``). There is no travel term. The target is kept until the agent is within 0.8 m or has moved for 100
-    frames. Until then, the candidate nearest to the target is chosen.
+    ``activeinr``). There is no travel term. The target is kept until the agent is within 0.8 m, has moved for 100
+    frames, or no candidate is nearer to it than the agent. Until then, the candidate nearest to the target is chosen.
 
     ``uncertainty``: "perturbation" uses 20 perturbed renderings from 12 views. "proxy" is its first-order approximation
     without rendering. Source: [activeinr, code].
@@ -67,15 +68,15 @@ class ActiveINR(Planner):
         share = np.where(usable, candidates[self._feature], 0.0)
         if self._target is not None:
             gap = float(np.linalg.norm(observation["pose"][:3] - self._target))
-            if gap < REACHED_M or self._spent >= PATIENCE:
+            gaps = np.where(usable, np.linalg.norm(candidates.xyz - self._target, axis=1), np.inf)
+            if gap < REACHED_M or self._spent >= PATIENCE or gaps.min() > gap - NEARER_M:
                 self._target = None
         if self._target is None and share.any():
             choice = best_valid(self.scores(share, observation), observation)
             self._target = candidates.feature(self._feature)[choice, 1:].astype(float)
             self._spent, stage = 0.0, "new target"
-        elif self._target is not None and usable.any():
-            gap_of = np.linalg.norm(candidates.xyz - self._target, axis=1)
-            choice, stage = best_valid(np.where(usable, -gap_of, -np.inf), observation), "on the way"
+        elif self._target is not None:
+            choice, stage = best_valid(-gaps, observation), "on the way"
         else:  # the map has no surface yet
             choice, stage = nearest_new(observation), "no target"
         self._spent += float(candidates.frames[choice])

@@ -218,8 +218,10 @@ def test_nobody_stands_still() -> None:
     for rows in ([{**here, "activeinr": 0.9}, turn], [here, {**turn, "activeinr": 0.1}]):
         assert act(bound(ActiveINR()), rows) == 1
     policy = bound(ActiveINR())
-    assert act(policy, [inr(2 * X, 0.5, 3 * Y)]) == 0  # and is on the way to what is nearest to where it stands:
-    assert act(policy, [here, turn, inr(-X, 0.0)]) == 1 and policy.trace()["stage"] == "on the way"
+    assert act(policy, [inr(2 * X, 0.5, 3 * Y)]) == 0  # and is on the way; no view is nearer than where it stands:
+    assert act(policy, [here, turn, inr(-X, 0.1, -2 * X)]) == 2 and policy.trace()["stage"] == "new target"
+    assert act(policy, [here, turn, inr(-0.4 * X, 0.0)]) == 2 and policy.trace()["stage"] == "on the way"
+    assert act(policy, [here, turn, inr(X, 0.0)]) == 1 and policy.trace()["stage"] == "no target"
     assert act(bound(ActiveINR()), [here]) == 0  # nothing else
     lonely = [node(0, 0 * X, path=0.0, frames=1.0), node(0, 0 * X, path=0.0, frames=5.0, look=Y)]
     assert act(bound(AnmS()), lonely) == 1 and act(bound(AnmS()), lonely[:1]) == 0

@@ -23,7 +23,8 @@ from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, Gaus
 
 DIRECTIONS = 128  # number of direction bins of the sphere, stored in 2 x 64 bits per Gaussian (as in COVER)
 REACH = 5.0  # metres of measured depth; keyframes count up to it in ActiveGS's `nearness` and `concentration`
-_SLACK_M = 0.05  # metres behind the measured surface up to which a Gaussian is seen; interior walls are thicker
+SLACK_M = 0.05  # metres behind the measured surface up to which a Gaussian is seen; most interior walls are thicker
+WITHIN_A_PIXEL = 1.05  # a deeper neighbour belongs to another surface, with other things between the two
 _CELLS = 64  # number of cells per side of the table that maps a direction to its bin
 # Columns of the kernel's sums: count, sum of v, sum of products v v^T, and for both sides nearness, count and sum of v.
 _V, _PRODUCTS, _SIDES = slice(1, 4), slice(4, 10), slice(10, 20)
@@ -52,7 +53,8 @@ def view_directions(mapper: KeyframeMapper) -> ViewDirections:
 
     A keyframe sees a Gaussian if its mean projects into the image and is at most 5 cm behind the surface measured
     there. The deepest of its pixel and the neighbours counts, since on slanted surface the depth changes within a
-    pixel. The keyframe faces the front if n v > 0 and this depth is below 5 m. The front is the side with the larger
+    pixel, but at most 1.05 times the depth of the pixel itself. The keyframe faces the front if n v > 0 and the depth
+    of the pixel is below 5 m. The front is the side with the larger
     nearness. Isotropic Gaussians have no normal; n v is 1 for them.
     """
     gaussians, isotropic = mapper.map, mapper.isotropic
@@ -150,11 +152,11 @@ def _add_view(
             if measured <= 0.0:
                 continue
             farthest = measured
-            if deep > measured + _SLACK_M:
+            if deep > measured + SLACK_M:
                 for beside in range(max(0, row - 1), min(height, row + 2)):
                     for at in range(max(0, column - 1), min(width, column + 2)):
                         farthest = max(farthest, depth[beside, at])
-            if deep > farthest + _SLACK_M:
+            if deep > min(farthest, WITHIN_A_PIXEL * measured) + SLACK_M:
                 continue
             x, y, z = eye[0] - x, eye[1] - y, eye[2] - z
             distance = np.sqrt(x * x + y * y + z * z)

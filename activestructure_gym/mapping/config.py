@@ -178,7 +178,7 @@ _RECIPES: Mapping[str, Mapping[str, Any]] = {
         "color_rate": 2.5e-3,
         "window": 32,
         # Mapping measures the PSNR of a keyframe once, after its own event (ActiveGAMER). An episode measures the worst
-        # again, for revisits.
+        # again for revisits, and after a stay.
         "psnr_refresh": 0,
         "psnr_of_returns": True,
         "prune_steps": (0, 20),

@@ -3,7 +3,8 @@
 The weighted mean depth over the Gaussians of a ray is between two surfaces at every edge, and uses the depths of
 centres. Here a pixel uses the single Gaussian at which the transmittance first falls to one half ([huang2024], median
 depth). Its depth is that of the Gaussian's highest density along the ray ([yu2024], ray-Gaussian intersection). For an
-oblique disk, this is the point where the ray meets the disk.
+oblique disk, this is the point where the ray meets the disk. A disk next to the camera can be drawn in pixels
+whose rays meet its plane far beyond its end: then the depth is that of the centre.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from activestructure_gym.geometry.rotations import matrix_rows
 from activestructure_gym.splatting.layout import BLUR_VARIANCE
 from activestructure_gym.splatting.passes import median_gaussian
 from activestructure_gym.splatting.workspace import PooledWorkspace, fitted, inverse_of_pose
+
+_PASSED = 3.0**2  # squared standard deviations: a ray that stays farther from the centre does not meet the Gaussian
+_BEYOND_M = 1.0  # metres from the centre; small oblique disks are met a few pixels away from it, as on a floor far away
 
 
 def surface_depth(
@@ -55,7 +59,10 @@ def _densest(
     intrinsics: np.ndarray,  # [4] fx, fy, cx, cy in pixels
     depth: np.ndarray,  # [H, W] metres, output
 ) -> None:
-    """Write the depth at which each pixel's ray is nearest to the centre of its Gaussian, in standard deviations."""
+    """Write the depth at which each pixel's ray is nearest to the centre of its Gaussian, in standard deviations.
+
+    It is the depth of the centre if that point is more than 3 standard deviations and more than 1 m from the centre.
+    """
     fx, fy, cx, cy = intrinsics
     m = world_from_camera
     for row in range(depth.shape[0]):
@@ -65,7 +72,7 @@ def _densest(
             if i < 0:
                 continue
             x, y = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
-            along, square = 0.0, 0.0
+            along, square, offset, deep = 0.0, 0.0, 0.0, 0.0
             for axis in range(3):
                 ray, centre = 0.0, 0.0
                 for k in range(3):
@@ -73,5 +80,11 @@ def _densest(
                     centre += whitening[i, axis, k] * (parameters[k, i] - m[k, 3])
                 along += ray * centre
                 square += ray * ray
+                offset += centre * centre
+                deep += m[axis, 2] * (parameters[axis, i] - m[axis, 3])
+            nearest = along / square
+            far = abs(nearest - deep) * np.sqrt(x * x + y * y + 1.0) > _BEYOND_M
+            if far and offset - along * nearest > _PASSED:
+                nearest = deep
             # 0 if the point is behind the camera, which can be inside a large disk.
-            depth[row, column] = max(along / square, 0.0)
+            depth[row, column] = max(nearest, 0.0)

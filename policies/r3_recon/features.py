@@ -10,6 +10,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import unexplored, unknown_cells
+from activestructure_gym.features.view_directions import WITHIN_A_PIXEL
 from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.policies.r3_recon.surface_views import DIRECTIONS, SurfaceViews
@@ -118,13 +119,13 @@ def lost_renderability(
             if not (0.0 <= column < width and 0.0 <= row < height):
                 continue
             line, pixel = int(row), int(column)
-            farthest = surface[k, line, pixel]
-            if deep > farthest + SLACK_M:
+            own = farthest = surface[k, line, pixel]
+            if deep > own + SLACK_M:
                 for beside in range(max(0, line - 1), min(height, line + 2)):
                     for side in range(max(0, pixel - 1), min(width, pixel + 2)):
                         if surface[k, beside, side] < np.inf:
                             farthest = max(farthest, surface[k, beside, side])
-            if deep > farthest + SLACK_M:
+            if deep > min(farthest, WITHIN_A_PIXEL * own) + SLACK_M:
                 continue
             distance = np.sqrt(x * x + y * y + z * z)
             cosine, best, left, at = 0.0, 0, bits[v], 0

@@ -63,6 +63,15 @@ def test_on_slanted_surface_the_deepest_neighbour_of_a_pixel_counts() -> None:
     column = int(CAMERA.cx)  # the optical axis is at its left side
     means = [[float(steep.depth[0, column + beyond]) + 0.04, 0.0, 0.0] for beyond in (0, 1, 2)]
     assert view_directions(mapper_of(means, [steep])).count.tolist() == [1, 1, 0]
+    steep.depth[:] = 5.2 + 0.1 * (np.arange(36, dtype=np.float32)[:, None] - 18)  # the same from row to row
+    assert view_directions(mapper_of(means, [steep])).count.tolist() == [1, 1, 0]
+
+
+def test_at_the_edge_of_an_object_the_background_reveals_nothing_behind_it() -> None:
+    edge = frame([0, 0, 0], [1, 0, 0], 2.0)
+    edge.depth[:, int(CAMERA.cx) + 1 :] = edge.depth[int(CAMERA.cy) + 1 :] = 4.0
+    means = [[2.0, 0.0, 0.0], [2.14, 0.0, 0.0], [2.16, 0.0, 0.0], [3.9, 0.0, 0.0]]
+    assert view_directions(mapper_of(means, [edge])).count.tolist() == [1, 1, 0, 0]
 
 
 def test_looks_from_several_sides() -> None:

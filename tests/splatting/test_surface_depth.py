@@ -84,3 +84,13 @@ def test_the_place_on_a_ray_is_where_the_gaussian_is_densest() -> None:
             bounds=(0.1, 10), method="bounded", options={"xatol": 1e-9},
         ).x  # fmt: skip
         assert found[row, column] == pytest.approx(best, abs=1e-4)
+
+
+@pytest.mark.parametrize(("sigma", "end"), [(0.1, 0.02), (2.0, 1.44)])
+def test_a_ray_along_a_disk_that_ends_before_it_has_the_depth_of_its_centre(sigma: float, end: float) -> None:
+    """A disk 3 cm to the right of the camera covers its half of the image. Column 24 meets its plane at 1.44 m."""
+    turn = Rotation.from_euler("y", 90.0, degrees=True)
+    block = disks(np.array([[0.03, 0.0, 0.02]]), turn, (sigma, sigma, 4e-4))
+    found = surface_depth(block, 1, CAMERA, np.eye(4)[None])[0, CAMERA.height // 2]
+    np.testing.assert_allclose(found[25:28], 0.03 / CAMERA.rays()[0, 25:28, 0], rtol=0.01)
+    np.testing.assert_allclose(found[24], end, rtol=0.01)

@@ -64,9 +64,11 @@ def test_one_place_by_hand() -> None:
 
 def test_on_slanted_surface_the_deepest_neighbour_of_a_pixel_counts() -> None:
     centre = CAMERA.height // 2, CAMERA.width // 2
-    for step, seen in ((1, 1.0), (2, 0.0)):
-        shown = np.full((1, CAMERA.height, CAMERA.width), 1.9, np.float32)
-        shown[0, centre[0], centre[1] + step] = 2.0
+    # The last is the edge of an object, where the background reveals nothing behind it.
+    cases = (0, 1, 1.9, 1.0), (1, 0, 1.9, 1.0), (0, 2, 1.9, 0.0), (2, 0, 1.9, 0.0), (0, 1, 1.8, 0.0)
+    for down, right, own, seen in cases:
+        shown = np.full((1, CAMERA.height, CAMERA.width), own, np.float32)
+        shown[0, centre[0] + down, centre[1] + right] = 2.0
         shown[0, 0, 0] = shown[0, centre[0] - 1, centre[1]] = np.inf  # an uncovered pixel next to it shows nothing
         known = (np.zeros((1, 3)), np.zeros(1, np.uint64), np.ones(1), np.full(1, 2.0))
         found = lost_renderability(known, view(7, 2.0)[None], CAMERA.lens, shown, SIDES, surrounding())

@@ -197,8 +197,10 @@ def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
     assert f"`frontier` and `r3_recon` {low:.1f} to {high:.1f}." in told
     low, high = spread("hole_area", "unknown_volume", "unseen", "learned")
     assert f"Our planners of unseen space end {low:.1f} to {high:.1f} points above chance**" in told
-    low, high = spread("naruto")
-    assert f"`naruto` ends {low:+.1f} to {high:+.1f} points from chance on its views**" in told
+    low, high = spread("naruto", "anm_s", "activesplat")
+    assert f"`naruto`, `anm_s` and `activesplat` end {low:+.1f} to {high:+.1f} points from chance" in told
+    low, high = spread("activeinr", "rt_guide")
+    assert f"`activeinr` and `rt_guide` end {-high:.1f} to {-low:.1f} points below chance" in told
 
     def observed(name: str, scene: str) -> str:
         return f"{float(runs[name, scene]['observed']):.1f} %"

@@ -45,10 +45,9 @@ WHOLE = "houses_20_house_5"  # scene of the picture and of the table with all me
 FLOOR = "random?views_of="  # begins the name of chance with the native settings of a planner
 # Planners with rows that precede a change of their rules, settings or planes (commits 5294a620, f918d54e and ee3ceb57).
 OUTDATED = frozenset(
-    """activeinr activepolicy activesplat activestructure activestructure-b activestructure-c
-    activestructure-d aiisrfe anm_s fisherrf fisherrf_path gauss_mi gavis gs_planner hgs_planner magician
-    next_best_sense popgs_cov_trace popgs_cov_trace_block popgs_info_trace popgs_logdet popgs_logdet_block
-    popgs_min_eig view_angle""".split()
+    """activepolicy activestructure activestructure-b activestructure-c activestructure-d fisherrf fisherrf_path
+    gauss_mi gavis gs_planner hgs_planner magician next_best_sense popgs_cov_trace popgs_cov_trace_block
+    popgs_info_trace popgs_logdet popgs_logdet_block popgs_min_eig view_angle""".split()
 )
 _FIRST = 2  # first point of a drawn curve; the first views show half of a room, which would flatten the curves
 POINTS = 40  # points of a stored curve, at equal distances up to the last frame of the budget

@@ -215,13 +215,13 @@ class ActiveGAMER(Planner):
 
         ``keys`` names the view of each row, ``gain`` [K] is its share of uncovered pixels, and ``pool`` [K] the rows
         that count. ``needed`` successive decisions without a view above POOL_SHARE end the stage. A decision makes
-        progress if a view has lost POOL_SHARE of its pixels since it was last offered.
+        progress if a view has lost POOL_SHARE of its pixels since it was first offered, or since its last such loss.
         """
         shares = {keys[row]: float(gain[row]) for row in np.flatnonzero(pool)}
         self._poor = 0 if max(shares.values(), default=0.0) >= POOL_SHARE else self._poor + 1
-        fell = any(share <= self._known.get(key, share) - POOL_SHARE for key, share in shares.items())
+        fell = {key: s for key, s in shares.items() if key in self._known and s <= self._known[key] - POOL_SHARE}
         self._stagnant = 0 if fell else self._stagnant + 1
-        self._known |= shares
+        self._known = shares | self._known | fell
         if self._poor >= needed:
             return f"the pool was empty for {needed} decisions"
         return f"no progress in {STAGNATION} decisions" if self._stagnant > STAGNATION else None

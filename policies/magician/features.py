@@ -16,6 +16,7 @@ from activestructure_gym.motion import Agent
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.volume import VoxelVolume
 
+WIDEST = 4.0  # limit of the image's width per focal length for which rays are drawn, as their number grows with it
 BEAMS = 10  # N_b of the paper: number of plans kept in each step of the beam search
 STEPS = 10  # N_d of the paper: maximum number of views of a plan
 FRAMES_PER_STEP = 5  # maximum mean number of frames per view of a plan (own choice: the keyframe interval)
@@ -82,14 +83,15 @@ def continuation(
 def visible_cells(context: FeatureContext, surface: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool -> [K, M] bool
     """Return which of the M voxels of ``surface`` each candidate sees; rays end at occupied and imagined voxels.
 
-    The rays are at most a voxel apart where they end, so that no voxel between them counts as unseen by a plan.
+    On surface that faces the camera, the rays are at most a voxel apart where they end, so that no voxel between them
+    counts as unseen by a plan. They are farther apart on oblique surface, and if an image spans more than 127 degrees.
     """
     number = np.full(surface.shape, -1, np.int32)
     number[surface] = np.arange(surface.sum())
     reach, camera = min(context.max_range, context.volume.config.max_range), context.camera
     apart = reach / context.volume.voxel_size
-    size = (int(np.ceil(pixels / f * apart)) for pixels, f in ((camera.width, camera.fx), (camera.height, camera.fy)))
-    fine = camera.resized(*size)
+    spans = camera.width / camera.fx, camera.height / camera.fy
+    fine = camera.resized(*(int(np.ceil(min(span, WIDEST) * apart)) for span in spans))
     origin, voxel_size, poses, rays = grid_rays(context.volume, fine, context.world_from_camera, stride=1)
     visible = np.zeros((len(poses), int(surface.sum())), np.bool_)
     _mark_visible(context.volume.occupied, number, origin, voxel_size, poses, rays, reach, visible)

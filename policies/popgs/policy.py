@@ -91,12 +91,16 @@ class InfoTraceCov(Greedy):
     """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum d: trace of the information and unseen space.
 
     G_cov is `hole_area`, d is the information of the candidate about a parameter, and lambda_o is the share of observed
-    space near the agent.
+    space near the agent. Revisits are not candidates, as for `InfoTrace`.
     """
 
     criterion = "the sum of the map's information, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_info_trace_cov",)
+
+    def act(self, observation: Observation) -> int:
+        """Return the valid row with the highest gain that is no revisit, if there is one."""
+        return super().act(without_revisits(observation))
 
 
 @POLICIES.register("popgs_min_eig")

@@ -39,8 +39,9 @@ def test_the_way_counts_only_where_it_is_asked_for(name: str) -> None:
     assert bound(POLICIES.get(name)(travel="shared")).act(observed) == 0
 
 
-def test_the_information_of_a_view_that_is_taken_does_not_fall_so_it_is_not_taken_again() -> None:
-    policy = bound(POLICIES.get("popgs_info_trace")())
+@pytest.mark.parametrize("name", ["popgs_info_trace", "popgs_info_trace_cov"])
+def test_the_information_of_a_view_that_is_taken_does_not_fall_so_it_is_not_taken_again(name: str) -> None:
+    policy = bound(POLICIES.get(name)())
     assert policy.act(observation([0.5, 0.6, 0.1], [5, 1, 1], revisit=[0, 1, 0])) == 0
     assert policy.act(observation([0.5, 0.6], [5, 1], revisit=[1, 1])) == 1  # nothing else is offered
 

@@ -211,12 +211,24 @@ def test_a_stage_goes_on_while_its_views_get_covered_whatever_the_best_one_shows
     """Views of a new room keep the largest share high for as long as there are some."""
     columns, _ = lattice_views(0, [])
     native, shared = on_lattices(columns), policy()
-    for decision in range(2 * STAGNATION):
-        lost = 2.0 * POOL_SHARE if decision % STAGNATION == 0 else 0.0
+    for decision in range(3 * STAGNATION):
+        # A view loses 1 % at once, then 0.1 % at a time, which is progress every five decisions.
+        lost = POOL_SHARE * (2.0 + 0.2 * (decision - STAGNATION)) if decision >= STAGNATION else 0.0
         shares = [0.9, 0.8 - lost]
         assert native.act(lattice_views(0, [(1.0, shares[0]), (2.0, shares[1])])[1]) in (0, 1)
         shared.act(whole(observation(shares, [(0.02 * decision, 0, 0), (2.0, 0, 0)])))
         assert native.trace()["stage"] == "coarse" and shared.trace()["stage"] == "fine"
+
+
+def test_a_share_that_rises_and_falls_again_is_no_progress() -> None:
+    columns, _ = lattice_views(0, [])
+    native, shared = on_lattices(columns), policy()
+    for decision in range(STAGNATION + 1):
+        assert native.trace().get("stage", "coarse") == "coarse" and shared.trace().get("stage", "fine") == "fine"
+        shares = [0.9, 0.8 + 2.0 * POOL_SHARE * (decision % 2)]
+        native.act(lattice_views(0, [(1.0, shares[0]), (2.0, shares[1])])[1])
+        shared.act(whole(observation(shares, [(0.02 * decision, 0, 0), (2.0, 0, 0)])))
+    assert native.trace()["stage"] != "coarse" and shared.trace()["stage"] != "fine"
 
 
 def test_nothing_uncovered_at_all_is_no_error_and_leaves_the_choice_to_the_distance() -> None:

@@ -46,7 +46,7 @@ FLOOR = "random?views_of="  # begins the name of chance with the native settings
 # Planners with rows that precede a change of their rules, settings or planes (commits 5294a620, f918d54e and ee3ceb57).
 OUTDATED = frozenset(
     """activepolicy activestructure activestructure-b activestructure-c activestructure-d fisherrf fisherrf_path
-    gavis gs_planner hgs_planner magician next_best_sense popgs_cov_trace popgs_cov_trace_block
+    gavis gs_planner hgs_planner next_best_sense popgs_cov_trace popgs_cov_trace_block
     popgs_info_trace popgs_logdet popgs_logdet_block popgs_min_eig view_angle""".split()
 )
 _FIRST = 2  # first point of a drawn curve; the first views show half of a room, which would flatten the curves

@@ -45,7 +45,7 @@ WHOLE = "houses_20_house_5"  # scene of the picture and of the table with all me
 FLOOR = "random?views_of="  # begins the name of chance with the native settings of a planner
 # Planners with rows that precede a change of their rules, settings or planes (commits 5294a620, f918d54e and ee3ceb57).
 OUTDATED = frozenset(
-    """activepolicy activestructure activestructure-b activestructure-c activestructure-d fisherrf fisherrf_path
+    """activestructure activestructure-b activestructure-c activestructure-d fisherrf fisherrf_path
     gavis gs_planner hgs_planner next_best_sense popgs_cov_trace popgs_cov_trace_block
     popgs_info_trace popgs_logdet popgs_logdet_block popgs_min_eig view_angle""".split()
 )

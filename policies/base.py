@@ -240,9 +240,11 @@ def best_valid(scores: np.ndarray, observation: Observation, terms: Mapping[str,
     ValueError
         If no row is valid, or if the score of a valid row is NaN.
     InputError
-        If a term does not have one number per row.
+        If ``scores`` or a term does not have one number per row.
     """
     valid = Candidates(observation).valid
+    if np.shape(scores) != valid.shape:
+        raise InputError(f"scores must have one number per row, {valid.shape}, got {np.shape(scores)}")
     if not valid.any():
         raise ValueError("no candidate is valid: the episode has ended, call reset()")
     masked = np.where(valid, scores, -np.inf)

@@ -175,7 +175,7 @@ def test_what_is_said_of_the_paper_s_size_is_that_of_its_runs() -> None:
 
 def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
     script = runpy.run_path(str(ROOT / "docs" / "notebook" / "native_table.py"))
-    told = " ".join((ROOT / "docs" / "notebook" / "native.md").read_text(encoding="utf-8").split())
+    told = " ".join((ROOT / "docs" / "notebook" / "native.md").read_text(encoding="utf-8").replace("−", "-").split())
     scenes = ("apartment?rooms=3&seed=14", "houses_20_house_5", "room?seed=12")
     runs = {(row["policy"], row["scene"]): row for row in script["rows"]() if row["scene"] in scenes}
 
@@ -206,6 +206,10 @@ def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
 
     def observed(name: str, scene: str) -> str:
         return f"{float(runs[name, scene]['observed']):.1f} %"
+
+    in_a_room = [float(share) for share in runs["rt_guide", scenes[0]]["curve"].split()[650 // 50 - 1 : 1300 // 50]]
+    page = " ".join((ROOT / "policies" / "rt_guide" / "README.md").read_text(encoding="utf-8").split())
+    assert f"is {min(in_a_room):.0f} to {max(in_a_room):.0f} % from frame 650 to 1,300" in page
 
     chance = observed(script["FLOOR"] + "naruto", scenes[1])
     assert f"observes {chance} of the house, `random` {observed('random', scenes[1])}" in told

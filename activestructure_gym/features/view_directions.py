@@ -23,8 +23,8 @@ from activestructure_gym.mapping.gaussian_map import LOG_SCALE, QUATERNION, Gaus
 
 DIRECTIONS = 128  # number of direction bins of the sphere, stored in 2 x 64 bits per Gaussian (as in COVER)
 REACH = 5.0  # metres of measured depth; keyframes count up to it in ActiveGS's `nearness` and `concentration`
-SLACK_M = 0.05  # metres behind the measured surface up to which a Gaussian is seen; most interior walls are thicker
-WITHIN_A_PIXEL = 1.05  # a deeper neighbour belongs to another surface, with other things between the two
+_SLACK_M = 0.05  # metres behind a surface up to which a point is visible; most interior walls are thicker
+_WITHIN_A_PIXEL = 1.05  # limit of a neighbour's depth relative to the pixel's own; what is deeper is another surface
 _CELLS = 64  # number of cells per side of the table that maps a direction to its bin
 # Columns of the kernel's sums: count, sum of v, sum of products v v^T, and for both sides nearness, count and sum of v.
 _V, _PRODUCTS, _SIDES = slice(1, 4), slice(4, 10), slice(10, 20)
@@ -51,11 +51,9 @@ class ViewDirections:
 def view_directions(mapper: KeyframeMapper) -> ViewDirections:
     """Return the `ViewDirections` of all Gaussians and keyframes.
 
-    A keyframe sees a Gaussian if its mean projects into the image and is at most 5 cm behind the surface measured
-    there. The deepest of its pixel and the neighbours counts, since on slanted surface the depth changes within a
-    pixel, but at most 1.05 times the depth of the pixel itself. The keyframe faces the front if n v > 0 and the depth
-    of the pixel is below 5 m. The front is the side with the larger
-    nearness. Isotropic Gaussians have no normal; n v is 1 for them.
+    A keyframe sees a Gaussian if its mean projects into the image and is not hidden by the surface measured there
+    (`is_hidden`). The keyframe faces the front if n v > 0 and the depth of the pixel is below 5 m. The front is the
+    side with the larger nearness. Isotropic Gaussians have no normal; n v is 1 for them.
     """
     gaussians, isotropic = mapper.map, mapper.isotropic
     count = gaussians.count
@@ -122,6 +120,23 @@ class _View(NamedTuple):
 
 
 @kernel
+def is_hidden(deep: float, depth: np.ndarray, row: int, column: int) -> bool:
+    """Return whether a point at the depth ``deep`` in a pixel is more than 5 cm behind the surface in ``depth`` [H, W].
+
+    The deepest of the pixel and its neighbours counts, since on slanted surface the depth changes within a pixel, but
+    at most 1.05 times the depth of the pixel itself. Infinite depths of neighbours show no surface.
+    """
+    own = farthest = depth[row, column]
+    if deep <= own + _SLACK_M:
+        return False
+    for beside in range(max(0, row - 1), min(depth.shape[0], row + 2)):
+        for at in range(max(0, column - 1), min(depth.shape[1], column + 2)):
+            if depth[beside, at] < np.inf:
+                farthest = max(farthest, depth[beside, at])
+    return bool(deep > min(farthest, _WITHIN_A_PIXEL * own) + _SLACK_M)
+
+
+@kernel
 def _add_view(
     gaussians: _Gaussians,
     seen: np.ndarray,  # [blocks] bool: blocks of Gaussians that can be in the image
@@ -151,12 +166,7 @@ def _add_view(
             measured = depth[row, column]
             if measured <= 0.0:
                 continue
-            farthest = measured
-            if deep > measured + SLACK_M:
-                for beside in range(max(0, row - 1), min(height, row + 2)):
-                    for at in range(max(0, column - 1), min(width, column + 2)):
-                        farthest = max(farthest, depth[beside, at])
-            if deep > min(farthest, WITHIN_A_PIXEL * measured) + SLACK_M:
+            if is_hidden(deep, depth, row, column):
                 continue
             x, y, z = eye[0] - x, eye[1] - y, eye[2] - z
             distance = np.sqrt(x * x + y * y + z * z)

@@ -43,7 +43,8 @@ BASELINE = "activestructure-d"
 PICTURE = Path(__file__).parents[1] / "images" / "native_curves.svg"
 WHOLE = "houses_20_house_5"  # scene of the picture and of the table with all measures
 FLOOR = "random?views_of="  # begins the name of chance with the native settings of a planner
-# Planners with rows that precede a change of their rules, settings or planes (commits 5294a620, f918d54e and ee3ceb57).
+# Planners with rows that precede a change of their rules, settings or planes (commits
+# 5294a620, f918d54e, ee3ceb57 and d2991832).
 OUTDATED = frozenset(
     """activestructure activestructure-b activestructure-c activestructure-d fisherrf fisherrf_path
     gavis gs_planner hgs_planner next_best_sense popgs_cov_trace popgs_cov_trace_block

@@ -177,7 +177,7 @@ def _run_and_report(
 ) -> int:
     """Run the jobs and write the report, or with ``shard`` only run its jobs; return the exit code."""
     from activestructure_gym.evaluation.archive.directory_lock import hold
-    from activestructure_gym.evaluation.archive.jobs import code_of, policy_label
+    from activestructure_gym.evaluation.archive.jobs import policy_label
     from activestructure_gym.evaluation.archive.store import COMPARISON
     from activestructure_gym.evaluation.running.comparison import run_comparison
     from activestructure_gym.evaluation.running.live_progress import LiveProgress
@@ -191,7 +191,7 @@ def _run_and_report(
             with LiveProgress(console) as live:
                 result = run_comparison(jobs, directory, live, resume=options.resume, **given)
             if shard is not None:
-                again = escape(f"asg compare --resume --out {shlex.quote(str(directory))}")
+                again = escape(resuming(command, directory, jobs))
                 console.print(f"shard {shard} is done; `{again}` writes the report once all are")
                 return 1 if result.failed else 0
             seconds = time.monotonic() - began
@@ -203,11 +203,7 @@ def _run_and_report(
             return print_end(console, result, directory, seconds, baseline, wide=options.wide)
     except (KeyboardInterrupt, OSError) as error:  # `main` prints the message of an OSError
         if (directory / COMPARISON).is_file():
-            trust = " --trust-code" if any(any(code_of(job)) for job in jobs) else ""
-            complain(
-                "stopped; finished runs are kept, go on with: "
-                f"{command} --out {shlex.quote(str(directory))} --resume{trust}"
-            )
+            complain(f"stopped; finished runs are kept, go on with: {resuming(command, directory, jobs)}")
         if isinstance(error, OSError):
             raise
         return 130
@@ -219,6 +215,14 @@ def _typed(options: Compare, *names: str) -> bool:
     The value of an option that is not given is that of the class `Compare`.
     """
     return any(getattr(options, name) != getattr(Compare, name) for name in names)
+
+
+def resuming(command: str, directory: Path, jobs: Sequence[Job]) -> str:
+    """Return the command that goes on with the comparison of some jobs in ``directory``."""
+    from activestructure_gym.evaluation.archive.jobs import code_of
+
+    trust = " --trust-code" if any(any(code_of(job)) for job in jobs) else ""
+    return f"{command} --out {shlex.quote(str(directory))} --resume{trust}"
 
 
 def _added_to(directory: Path, options: Compare) -> Comparison | None:

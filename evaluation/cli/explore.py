@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Annotated
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive.store import COMPARISON
-from activestructure_gym.evaluation.cli.compare import Compare, compare_with
+from activestructure_gym.evaluation.cli.compare import Compare, compare_with, resuming
 from activestructure_gym.evaluation.cli.fields import Changes, Count, DryRun, Out, Switch, option
 from activestructure_gym.policies.native_settings import Setup
 from activestructure_gym.streams import complain
@@ -78,5 +77,8 @@ class Explore:
         )
         code = compare_with(asked, command="asg explore")
         if code == 1 and any(Path(directory).glob("captures/*/*.npz")):
-            complain(f"captured frames are kept; continue with: asg explore --out {shlex.quote(directory)} --resume")
+            from activestructure_gym.evaluation.running.resuming import recorded_jobs
+
+            again = resuming("asg explore", Path(directory), recorded_jobs(Path(directory)))
+            complain(f"captured frames are kept; continue with: {again}")
         return code

@@ -11,12 +11,12 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.features.context import FeatureContext, grid_rays
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unknown_volume import target_voxels
-from activestructure_gym.geometry import rotation_angle
+from activestructure_gym.geometry import PinholeCamera, rotation_angle
 from activestructure_gym.motion import Agent
 from activestructure_gym.planes import PlaneNode
 from activestructure_gym.volume import VoxelVolume
 
-WIDEST = 4.0  # limit of the image's width per focal length for which rays are drawn, as their number grows with it
+WIDEST = 4.0  # sides of an image in focal lengths up to which rays are added; their number grows with the sides
 BEAMS = 10  # N_b of the paper: number of plans kept in each step of the beam search
 STEPS = 10  # N_d of the paper: maximum number of views of a plan
 FRAMES_PER_STEP = 5  # maximum mean number of frames per view of a plan (own choice: the keyframe interval)
@@ -80,18 +80,22 @@ def continuation(
     return np.asarray(centres[(reached & near).ravel()])
 
 
+def ray_image(camera: PinholeCamera, apart: float) -> PinholeCamera:
+    """Return ``camera`` with pixels of 1 / ``apart`` focal lengths, but at most `WIDEST` times ``apart`` a side."""
+    spans = camera.width / camera.fx, camera.height / camera.fy
+    return camera.resized(*(int(np.ceil(min(span, WIDEST) * apart)) for span in spans))
+
+
 def visible_cells(context: FeatureContext, surface: np.ndarray) -> np.ndarray:  # [X, Y, Z] bool -> [K, M] bool
     """Return which of the M voxels of ``surface`` each candidate sees; rays end at occupied and imagined voxels.
 
     On surface that faces the camera, the rays are at most a voxel apart where they end, so that no voxel between them
-    counts as unseen by a plan. They are farther apart on oblique surface, and if an image spans more than 127 degrees.
+    counts as unseen by a plan. They are farther apart on oblique surface, and in images of more than 127 degrees.
     """
     number = np.full(surface.shape, -1, np.int32)
     number[surface] = np.arange(surface.sum())
     reach, camera = min(context.max_range, context.volume.config.max_range), context.camera
-    apart = reach / context.volume.voxel_size
-    spans = camera.width / camera.fx, camera.height / camera.fy
-    fine = camera.resized(*(int(np.ceil(min(span, WIDEST) * apart)) for span in spans))
+    fine = ray_image(camera, reach / context.volume.voxel_size)
     origin, voxel_size, poses, rays = grid_rays(context.volume, fine, context.world_from_camera, stride=1)
     visible = np.zeros((len(poses), int(surface.sum())), np.bool_)
     _mark_visible(context.volume.occupied, number, origin, voxel_size, poses, rays, reach, visible)

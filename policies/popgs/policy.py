@@ -69,8 +69,16 @@ class CovTraceCov(Greedy):
     required_features = ("popgs_cov_trace_cov",)
 
 
+class _OfNewViews(Greedy):
+    """Choose among the views that are no revisits, if there are any."""
+
+    def act(self, observation: Observation) -> int:
+        """Return the valid row with the highest gain that is no revisit, if there is one."""
+        return super().act(without_revisits(observation))
+
+
 @POLICIES.register("popgs_info_trace")
-class InfoTrace(Greedy):
+class InfoTrace(_OfNewViews):
     """Choose argmax sum d: trace of the candidate's information, independent of the keyframes.
 
     Revisits are not candidates: their gain does not fall, so that one view would be chosen again and again.
@@ -81,13 +89,9 @@ class InfoTrace(Greedy):
     required_features = ("popgs_info_trace",)
     native_settings = SELECTED_VIEWS
 
-    def act(self, observation: Observation) -> int:
-        """Return the valid row with the highest gain that is no revisit, if there is one."""
-        return super().act(without_revisits(observation))
-
 
 @POLICIES.register("popgs_info_trace_cov")
-class InfoTraceCov(Greedy):
+class InfoTraceCov(_OfNewViews):
     """Choose argmax G_cov + lambda_o G_Q, where G_Q = sum d: trace of the information and unseen space.
 
     G_cov is `hole_area`, d is the information of the candidate about a parameter, and lambda_o is the share of observed
@@ -97,10 +101,6 @@ class InfoTraceCov(Greedy):
     criterion = "the sum of the map's information, and unseen space"
     source = "this project, with the gain of Wilson et al., POp-GS, CVPR 2025"
     required_features = ("popgs_info_trace_cov",)
-
-    def act(self, observation: Observation) -> int:
-        """Return the valid row with the highest gain that is no revisit, if there is one."""
-        return super().act(without_revisits(observation))
 
 
 @POLICIES.register("popgs_min_eig")

@@ -10,7 +10,7 @@ from activestructure_gym.compiling import kernel
 from activestructure_gym.features.context import FeatureContext
 from activestructure_gym.features.registry import FEATURES
 from activestructure_gym.features.unexplored import unexplored, unknown_cells
-from activestructure_gym.features.view_directions import WITHIN_A_PIXEL
+from activestructure_gym.features.view_directions import is_hidden
 from activestructure_gym.geometry import fibonacci_directions
 from activestructure_gym.geometry.camera import Lens
 from activestructure_gym.policies.r3_recon.surface_views import DIRECTIONS, SurfaceViews
@@ -19,7 +19,6 @@ EXPLORATION = 1000.0  # weight of an unexplored voxel; a surface voxel without r
 UNEXPLORED_VOXEL = 0.2  # metres, side of the unexplored voxels in the original
 COLOUR_SCALE = 1.154  # 2 / sqrt(3): the renderability is 0 if half of the colours are black and half white
 FINE = 0.01 / 5.0  # metres per pixel; nearer views than a keyframe with this resolution improve nothing
-SLACK_M = 0.05  # metres behind the rendered surface up to which a voxel is visible, the size of a voxel
 
 
 @FEATURES.register(
@@ -43,8 +42,8 @@ def r3_recon(context: FeatureContext) -> np.ndarray:  # [K, 2]
     - s = max(0, 1 - d / d_min), where d is the distance of the view and d_min that of the nearest keyframe; s is 0 if
       1 cm covered 5 pixels in a keyframe.
 
-    A surface voxel of 5 cm is visible if its centre projects into the image and is at most 5 cm behind the rendered
-    surface, at its pixel or a neighbour.
+    A surface voxel of 5 cm is visible if its centre projects into the image and is not hidden by the rendered surface
+    (`is_hidden`).
     Unexplored voxels are those of `unexplored`, in units of 0.2 m. The original does not divide by #voxels.
     """
     volume = context.volume
@@ -118,14 +117,7 @@ def lost_renderability(
             row = lens[3] - lens[1] * (pose[0, 1] * x + pose[1, 1] * y + pose[2, 1] * z) / deep
             if not (0.0 <= column < width and 0.0 <= row < height):
                 continue
-            line, pixel = int(row), int(column)
-            own = farthest = surface[k, line, pixel]
-            if deep > own + SLACK_M:
-                for beside in range(max(0, line - 1), min(height, line + 2)):
-                    for side in range(max(0, pixel - 1), min(width, pixel + 2)):
-                        if surface[k, beside, side] < np.inf:
-                            farthest = max(farthest, surface[k, beside, side])
-            if deep > min(farthest, WITHIN_A_PIXEL * own) + SLACK_M:
+            if is_hidden(deep, surface[k], int(row), int(column)):
                 continue
             distance = np.sqrt(x * x + y * y + z * z)
             cosine, best, left, at = 0.0, 0, bits[v], 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -208,6 +209,13 @@ def test_a_score_that_is_no_number_is_not_the_best(rng: np.random.Generator) -> 
     assert best_valid(np.array([1.0, 2.0, np.nan]), observed) == 1  # nobody offers that row
     with pytest.raises(ValueError, match="every valid row must be a number, got nan in row 1"):
         best_valid(np.array([1.0, np.nan, 0.0]), observed)
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (3, 1), (3, 3)])
+def test_scores_without_one_number_per_row_are_refused(shape: tuple[int, ...], rng: np.random.Generator) -> None:
+    message = re.escape(f"scores must have one number per row, (3,), got {shape}")
+    with pytest.raises(InputError, match=message):
+        best_valid(np.zeros(shape), observation(rng, rows=3))
 
 
 def test_without_a_score_the_first_valid_row_is_the_best(rng: np.random.Generator) -> None:

@@ -87,7 +87,7 @@ def test_the_place_on_a_ray_is_where_the_gaussian_is_densest() -> None:
 
 
 @pytest.mark.parametrize(("sigma", "end"), [(0.1, 0.02), (2.0, 1.44)])
-def test_a_ray_along_a_disk_that_ends_before_it_has_the_depth_of_its_centre(sigma: float, end: float) -> None:
+def test_beyond_the_end_of_a_disk_next_to_the_camera_its_centre_counts(sigma: float, end: float) -> None:
     """A disk 3 cm to the right of the camera covers its half of the image. Column 24 meets its plane at 1.44 m."""
     turn = Rotation.from_euler("y", 90.0, degrees=True)
     block = disks(np.array([[0.03, 0.0, 0.02]]), turn, (sigma, sigma, 4e-4))

@@ -21,6 +21,7 @@ from activestructure_gym.evaluation.report.results import Results
 from activestructure_gym.evaluation.reproduction.remeasure import measure_again
 from activestructure_gym.evaluation.reproduction.verifying import verify
 from activestructure_gym.geometry.frame import Frame
+from activestructure_gym.registry import TRUST
 from activestructure_gym.worlds import CaptureFailed
 from activestructure_gym.worlds.simulated_world import SimulatedRobot
 
@@ -191,3 +192,14 @@ def test_asg_explore_says_how_to_go_on(
         place = str(tmp_path / f"runs-{limit}")
         code = main(["explore", "--world", "simulated?scene=box", "--preset", "fast", "--out", place])
         assert code == 1 and ("asg explore --out" in capsys.readouterr().err) == kept
+    # The command of a world of one's own is complete.
+    (tmp_path / "my_robot.py").write_text("from activestructure_gym.worlds.simulated_world import SimulatedRobot\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    limit, place = len(taken) + 1, str(tmp_path / "own")
+    monkeypatch.setenv(TRUST, "0")  # which the command below sets for this process
+    words = ["explore", "--world", "my_robot:SimulatedRobot?scene=box", "--preset", "fast", "--frames", "20"]
+    assert main([*words, "--out", place]) == 1
+    command = capsys.readouterr().err.strip().rpartition("continue with: asg ")[2]
+    assert command == f"explore --out {place} --resume --trust-code"
+    monkeypatch.setattr(SimulatedRobot, "capture", take)
+    assert main(command.split()) == 0

@@ -12,7 +12,15 @@ import pytest
 from activestructure_gym.features import evaluate_features
 from activestructure_gym.geometry import PinholeCamera, invert_rigid, look_along, transform_points
 from activestructure_gym.planes.surface import Patch, SurfaceGrid
-from activestructure_gym.policies.magician.features import CAP, Costs, continuation, imagined, search, visible_cells
+from activestructure_gym.policies.magician.features import (
+    CAP,
+    Costs,
+    continuation,
+    imagined,
+    ray_image,
+    search,
+    visible_cells,
+)
 from activestructure_gym.volume import FREE, UNKNOWN, VoxelVolume
 
 
@@ -107,6 +115,12 @@ def test_no_voxel_of_a_far_wall_is_left_for_a_view_beside(width: int, distance: 
     in_image = [camera.in_image(transform_points(invert_rigid(pose), centres)) for pose in context.world_from_camera]
     assert first.sum() == pytest.approx(in_image[0].sum(), rel=0.06)
     assert (second & ~first).sum() <= (in_image[1] & ~in_image[0]).sum() + 0.03 * in_image[0].sum()
+
+
+@pytest.mark.parametrize(("degrees", "width"), [(90.0, 100), (120.0, 174), (170.0, 200)])
+def test_the_number_of_rays_has_a_limit_in_very_wide_images(degrees: float, width: int) -> None:
+    image = ray_image(PinholeCamera.from_size(64, 36, degrees), 50.0)
+    assert image.width == width and image.width / image.fx == pytest.approx(2 * np.tan(np.radians(degrees / 2)))
 
 
 def test_views_see_what_is_imagined_and_not_what_hides_behind_it(two_walls) -> None:

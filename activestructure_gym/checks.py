@@ -24,6 +24,7 @@ from activestructure_gym.planes.record import graph_arrays
 from activestructure_gym.policies import Policy, make_env_and_policy
 from activestructure_gym.worlds import (
     World,
+    captured,
     checked_bounds,
     checked_pose,
     checked_start,
@@ -220,7 +221,7 @@ def check_world(world: str | World) -> None:
     assert is_world(made), "a world has the members bounds, camera, start, capture and close"
     start, camera = checked_start(made.start, checked_bounds(made.bounds)), made.camera
     for _ in range(2):  # the start can be captured again
-        frame = _frame_of(made.capture(start.pose), camera)
+        frame = _frame_of(captured(made, start.pose), camera)
         seen = np.isfinite(frame.depth) & (frame.depth > 0)
         assert seen.any(), "the frame at the start has no depth: check its unit (metres) and its pose"
         off = float(np.linalg.norm(frame.world_from_camera[:3, 3] - start.pose[:3, 3]))
@@ -229,7 +230,7 @@ def check_world(world: str | World) -> None:
     made.close()
     if isinstance(world, str):
         other = load_world(world)
-        again = _frame_of(other.capture(other.start.pose), other.camera)
+        again = _frame_of(captured(other, other.start.pose), other.camera)
         other.close()
         assert np.array_equal(again.rgb, frame.rgb) and np.array_equal(again.depth, frame.depth, equal_nan=True), (
             "two fresh worlds of one name gave other frames at the start: take all random numbers from a seed"

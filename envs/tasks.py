@@ -132,6 +132,8 @@ class WorldEnv(ReconstructionEnv):
     """Explore a world: a simulator, a recording, a robot."""
 
     def __init__(self, *, world: World | str | None = None, **options: Unpack[EnvOptions]) -> None:
+        if "scene" in options:  # the keyword of all other tasks
+            raise unknown_keyword("WorldEnv.__init__", "scene", ["world"])
         _check_names(WorldEnv, options, "world")
         if not isinstance(world, str) and not is_world(world):
             raise InputError(

@@ -237,19 +237,18 @@ def best_valid(scores: np.ndarray, observation: Observation, terms: Mapping[str,
 
     Raises
     ------
-    ValueError
-        If no row is valid, or if the score of a valid row is NaN.
     InputError
-        If ``scores`` or a term does not have one number per row.
+        If no row is valid, if the score of a valid row is NaN, or if ``scores`` or a term does not have one number per
+        row.
     """
     valid = Candidates(observation).valid
     if np.shape(scores) != valid.shape:
         raise InputError(f"scores must have one number per row, {valid.shape}, got {np.shape(scores)}")
     if not valid.any():
-        raise ValueError("no candidate is valid: the episode has ended, call reset()")
+        raise InputError("no candidate is valid: the episode has ended, call reset()")
     masked = np.where(valid, scores, -np.inf)
     if np.isnan(masked).any():  # np.argmax treats NaN as the maximum
-        raise ValueError(f"the score of every valid row must be a number, got nan in row {np.isnan(masked).argmax()}")
+        raise InputError(f"the score of every valid row must be a number, got nan in row {np.isnan(masked).argmax()}")
     row = int(np.argmax(masked))
     row = row if valid[row] else int(np.argmax(valid))  # all valid rows have the score -inf
     record_scores(row, masked, terms)

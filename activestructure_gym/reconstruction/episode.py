@@ -46,6 +46,7 @@ from activestructure_gym.worlds import (
     CaptureFailed,
     SceneWorld,
     World,
+    captured,
     checked_bounds,
     checked_start,
     frame_from,
@@ -319,7 +320,7 @@ class Reconstruction(EpisodeState):
         with self._timed("sensor"):
             if (travel := getattr(self.world, "travel", None)) is not None:
                 travel(path.copy())
-            frame = self.world.capture(path[-1])
+            frame = captured(self.world, path[-1])
         self._failures = 0
         sensor = self.config.sensor
         if not self._exact:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import inspect
 import os
 from collections.abc import Callable, Hashable, Mapping
@@ -213,9 +214,10 @@ def _resolved(spec: str | os.PathLike[str]) -> tuple[str, Callable[..., Scene], 
 
 
 def check_scene_name(spec: str) -> None:
-    """Raise `InputError` if ``spec`` names no scene, or a missing file or folder; nothing is loaded."""
-    name, _, path, _ = _resolved(spec)
-    if name in ("", "mesh") and path is not None and not os.path.exists(os.path.expanduser(path)):
+    """Raise `InputError` for an unknown scene or option, or a missing file or folder; nothing is loaded."""
+    name, factory, path, said = _resolved(spec)
+    _arguments(_label(name, path), factory, path, said)
+    if path is not None and not _exists(place := Path(os.path.expanduser(path))) and not _exists_with_suffix(place):
         raise InputError(f"there is no scene file or folder {short_repr(path)}")
 
 
@@ -251,6 +253,11 @@ def _exists(path: Path) -> bool:
         return path.exists()
     except OSError:
         return False
+
+
+def _exists_with_suffix(path: Path) -> bool:
+    """Return whether there is a file ``path.*``; a Gibson scan is named without the suffix of its file."""
+    return any(path.parent.glob(f"{glob.escape(path.name)}.*"))
 
 
 def _split_options(spec: str) -> tuple[str, dict[str, str]]:
@@ -301,12 +308,8 @@ def _reads_files(factory: Callable[..., Scene]) -> bool:
 
 
 def _build(name: str, factory: Callable[..., Scene], path: str | None, options: dict[str, Any]) -> Scene:
-    label = f"scene '{name}'" if name else f"scene '{path}'"
-    # ``inside`` is an option of every scene, except where the factory itself has a parameter of that name.
-    own = INSIDE in inspect.signature(factory).parameters
-    inside = None if own else options.get(INSIDE)
-    options = options if own else {key: value for key, value in options.items() if key != INSIDE}
-    arguments = typed_options(label, factory, options, apart=("path",) if path is not None else (), more=(INSIDE,))
+    label = _label(name, path)
+    arguments, inside = _arguments(label, factory, path, options)
     try:
         if path is not None:
             _check_name(path)
@@ -321,6 +324,23 @@ def _build(name: str, factory: Callable[..., Scene], path: str | None, options: 
     if wrong:
         raise InputError(f"{label}: its mesh cannot be used: {wrong}")
     return scene if inside is None else replace(scene, inside=_point_in(label, scene, inside))
+
+
+def _label(name: str, path: str | None) -> str:
+    return f"scene '{name}'" if name else f"scene '{path}'"
+
+
+def _arguments(
+    label: str, factory: Callable[..., Scene], path: str | None, options: dict[str, Any]
+) -> tuple[dict[str, Any], Any]:
+    """Return the keyword arguments of a scene's factory, and the value of the option ``inside`` or None.
+
+    ``inside`` is an option of every scene, except where the factory itself has a parameter of that name.
+    """
+    own = INSIDE in inspect.signature(factory).parameters
+    others = options if own else {key: value for key, value in options.items() if key != INSIDE}
+    arguments = typed_options(label, factory, others, apart=("path",) if path is not None else (), more=(INSIDE,))
+    return arguments, None if own else options.get(INSIDE)
 
 
 def _point_in(label: str, scene: Scene, given: Any) -> tuple[float, float, float]:

@@ -112,6 +112,16 @@ def is_world(value: Any) -> TypeGuard[World]:
     )
 
 
+def captured(world: World, world_from_camera: np.ndarray) -> Frame:
+    """Return the frame that the world takes at a pose [4, 4]; raise `InputError` if it returns no frame."""
+    frame = world.capture(world_from_camera)
+    if not all(hasattr(frame, name) for name in ("rgb", "depth", "world_from_camera")):
+        raise InputError(
+            f"capture() of {type(world).__name__} must return a Frame, or raise CaptureFailed; got {short_repr(frame)}"
+        )
+    return frame
+
+
 def checked_bounds(bounds: Any) -> np.ndarray:  # [2, 3] float64
     """Return bounds as an array; raise `InputError` unless they are two corners with a volume between them."""
     try:

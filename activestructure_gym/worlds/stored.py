@@ -25,7 +25,15 @@ from activestructure_gym.files import replaced
 from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.geometry.frame import Frame
 from activestructure_gym.npz import read_npz
-from activestructure_gym.worlds.base import CaptureFailed, Start, Views, World, checked_bounds, checked_start
+from activestructure_gym.worlds.base import (
+    CaptureFailed,
+    Start,
+    Views,
+    World,
+    captured,
+    checked_bounds,
+    checked_start,
+)
 
 if TYPE_CHECKING:
     from activestructure_gym.ground_truth import GroundTruth
@@ -168,7 +176,7 @@ class StoredCaptures:
         assert self.world is not None
         self._read_or_ask()  # world.json comes first
         try:
-            frame = self.world.capture(world_from_camera)
+            frame = captured(self.world, world_from_camera)
         except CaptureFailed as error:
             self._store_failure(number, error)
             raise

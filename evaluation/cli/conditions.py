@@ -86,8 +86,8 @@ class RunOptions:
     """Print the runs, their frame budget and their directory, and write nothing."""
     resume: Switch = False
     (
-        "Continue the comparison in --out with its stored settings. Finished runs are kept; further scenes, policies "
-        "and seeds are added."
+        "Continue the comparison in --out under its stored conditions. Finished runs are kept; further scenes, "
+        "policies and seeds are added."
     )
     engine: Annotated[str, option("local|inline|ray")] = "local"
     (

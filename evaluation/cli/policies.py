@@ -102,19 +102,21 @@ def _required(kind: type) -> list[str]:
 
 
 def _policy_facts(name: str) -> dict[str, Any]:
-    from activestructure_gym.policies import POLICIES
+    from activestructure_gym.policies import POLICIES, make_policy
+    from activestructure_gym.policies.base import features_of
     from activestructure_gym.policies.native_settings import native_settings_of
 
     kind: Any = POLICIES.get(Spec(name).name)
+    made = kind if _required(kind) and "?" not in name else make_policy(name)  # options may change it
     parameters = inspect.signature(kind).parameters.values()
     about = _docstring(kind)
     return {
         "name": name,
         "criterion": kind.criterion or about.partition("\n")[0],
-        "features": list(features_asked(name)),
+        "features": list(features_of(made)),
         "travel_term": kind.travel_term,
         "source": kind.source,
-        "native": native_settings_of(kind, "native").describe(),
+        "native": native_settings_of(made, "native").describe(),
         "options": {p.name: None if p.default is p.empty else p.default for p in parameters},
         "required": _required(kind),
         "about": about,

@@ -68,14 +68,13 @@ class Watch:
         from activestructure_gym.viewer import LiveView
 
         env, policy = self._make()
-        asks = self.policy == YOU
         try:
             view = LiveView(
                 f"{self.policy} · {self.world or self.scene} · seed {self.seed}",
                 address=self.host,
                 port=self.port,
                 chooses=True,
-                asks=asks,
+                asks=self.policy == YOU,
                 paused=self.paused,
             )
         except BaseException:
@@ -90,7 +89,7 @@ class Watch:
         console.print(f"Watch at [bold]{view.url}[/] (Ctrl+C ends)", soft_wrap=True)
         try:
             with working(console, "exploring") as say:
-                summary = play(env, policy, self.seed, view, asks, say)
+                summary = play(env, policy, self.policy, self.seed, view, say)
             console.print(f"The episode has ended: {summary}")
             while not self.exit:
                 try:
@@ -131,22 +130,25 @@ class Watch:
 
 
 def play(
-    env: gym.Env[Any, Any], policy: Policy, seed: int, view: LiveView, asks: bool, say: Callable[[str], None]
+    env: gym.Env[Any, Any], policy: Policy, name: str, seed: int, view: LiveView, say: Callable[[str], None]
 ) -> str:
     """Play one episode, show it on the page ``view``, and return a summary as text.
 
-    With ``asks``, the user chooses every view on the page. ``say`` is called with a text after every step.
+    If the policy's ``name`` is `YOU`, the user chooses every view on the page. ``say`` is called with a text after
+    every step.
     """
     from activestructure_gym.envs.reward import known_volume
+    from activestructure_gym.evaluation.running.actors import chosen_row
 
     shell: ReconstructionEnv = env.unwrapped  # type: ignore[assignment]
+    asks = name == YOU
     observation, info = env.reset(seed=seed)
     policy.reset(seed)
     episode, names = shell.reconstruction, shell.config.features
     view.begin(episode, names[0] if names else "")
     ended = False
     while not ended:
-        wanted = None if asks else policy.act(observation)
+        wanted = None if asks else chosen_row(name, shell, policy.act(observation))
         view.show(None if asks else policy.trace().get("phase"))
         if wanted is not None:
             view.chosen(wanted)

@@ -41,7 +41,7 @@ class Source:
     """Hold a directory from which runs were read, and the jobs that have no result in it."""
 
     directory: Path
-    command: str = ""  # command line of the comparison; empty for a single run
+    commands: Sequence[str] = ()  # command lines that began the comparison and added jobs; none for a single run
     workers: int | None = None  # number of parallel jobs
     missing: Mapping[str, str] = dataclasses.field(default_factory=dict)  # reason by title for jobs without a result
 
@@ -389,4 +389,5 @@ def source_of(
             kept = "; its episode is complete, but not measured yet" * is_played(run_directory(directory, job))
             missing[titles[job.name]] = reason + kept
     others = {title: error for title, error in failed.items() if title not in ended}
-    return Source(directory, record.get("command", ""), record.get("workers"), others | missing)
+    commands = [command for command in (record.get("command", ""), *record.get("resumed", ())) if command]
+    return Source(directory, commands, record.get("workers"), others | missing)

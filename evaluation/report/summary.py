@@ -184,7 +184,7 @@ def _summary(results: Results, sections: Sequence[str]) -> str:
     parts = [
         "# Comparison",
         "",
-        *(f"{code(without_folders(source.command))}\n" for source in results.sources if source.command),
+        *(f"{code(without_folders(command))}\n" for source in results.sources for command in source.commands),
         f"Page with curves, images and all decisions: [{PAGE}](./{PAGE}). Tables as Markdown, CSV and LaTeX: "
         f"[{TABLES}](./{TABLES}/).",
         "",

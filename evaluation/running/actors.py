@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive.jobs import Job
 
 if TYPE_CHECKING:
@@ -25,6 +26,16 @@ class Actor(Protocol):
 
     def trace(self) -> dict[str, Any]:
         """Return the numbers that led to the last choice."""
+
+
+def chosen_row(policy: str, env: ReconstructionEnv, row: Any) -> int:
+    """Return the ``row`` that a policy chose; raise `InputError` if it is not a row of the candidate table."""
+    if not env.is_row(row):
+        last = int(env.action_space.n) - 1
+        raise InputError(
+            f"policy '{policy}': act() must return a row, a whole number from 0 to {last}, got {short_repr(row)}"
+        )
+    return int(row)
 
 
 def build(job: Job, explored: GroundTruth | World) -> tuple[Actor, ReconstructionEnv]:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from activestructure_gym.errors import InputError, short_repr
 from activestructure_gym.evaluation.archive import completion, json_files, played, run_files, store
 from activestructure_gym.evaluation.archive.decisions import DecisionLog
 from activestructure_gym.evaluation.archive.jobs import Job
@@ -23,7 +22,7 @@ from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of
 from activestructure_gym.evaluation.machine import hardware as machine
 from activestructure_gym.evaluation.protocols import CameraPath, get_protocol
 from activestructure_gym.evaluation.protocols.metrics.without_truth import measured_without_truth
-from activestructure_gym.evaluation.running.actors import Actor, build
+from activestructure_gym.evaluation.running.actors import Actor, build, chosen_row
 from activestructure_gym.evaluation.running.measuring import measure
 from activestructure_gym.evaluation.running.surroundings import (
     Surroundings,
@@ -208,7 +207,7 @@ class _Episode:
         while not (ended or truncated):
             began = time.perf_counter()
             with recorded_scores() as comparisons:
-                action = self._chosen(policy.act(observation))
+                action = chosen_row(self.job.policy, env, policy.act(observation))
             self._policy_seconds += time.perf_counter() - began
             if self.decisions is not None:
                 self.decisions.add(observation, action, comparisons)
@@ -229,16 +228,6 @@ class _Episode:
         by_choice = "stopped" if stopped else by_choice
         self.ended = "frame budget used up" if truncated else by_choice
         self.total_seconds = time.perf_counter() - self._began - self.evaluation_seconds
-
-    def _chosen(self, row: Any) -> int:
-        """Return the row that a policy chose; raise `InputError` if it is not a row of the candidate table."""
-        if not self.env.is_row(row):
-            last = int(self.env.action_space.n) - 1
-            raise InputError(
-                f"policy '{self.job.policy}': act() must return a row, a whole number from 0 to {last}, "
-                f"got {short_repr(row)}"
-            )
-        return int(row)
 
     @property
     def last_ratio(self) -> float | None:

@@ -25,7 +25,7 @@ def new_record(
     command: str,
     asked: Collection[str],
 ) -> dict[str, Any]:
-    """Return the content of ``compare.json``: the first command, and under ``resumed`` the later ones.
+    """Return the content of ``compare.json``: the first command, and under ``resumed`` those that added jobs.
 
     ``asked`` holds the names of the jobs of this call. The errors of other jobs that failed before are kept.
     """
@@ -33,7 +33,7 @@ def new_record(
     return {
         "format": store.FORMAT_VERSION,
         "command": before["command"] if before else command,
-        "resumed": [*before.get("resumed", []), command] if before else [],
+        "resumed": [*before.get("resumed", []), *[command] * (len(jobs) > len(before["jobs"]))] if before else [],
         "engine": engine,
         "workers": slots,
         "jobs": {job.name: job.as_dict() for job in jobs},

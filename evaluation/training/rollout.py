@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from activestructure_gym.envs import ReconstructionEnv
+from activestructure_gym.evaluation.running.actors import chosen_row
 from activestructure_gym.evaluation.statistics import area_under
 from activestructure_gym.evaluation.training.config import WorldConfig
 from activestructure_gym.evaluation.training.oracle import oracle_greedy
@@ -54,11 +55,15 @@ def play(env: ReconstructionEnv, choose: Choose, seed: int, start: np.ndarray | 
 def play_policy(
     world: WorldConfig, truth: GroundTruth, policy: Policy, seed: int, start: np.ndarray | None = None
 ) -> Played:
-    """Play one episode of ``policy`` in the scene ``truth``, without noise; ``seed`` and ``start`` are as in `play`."""
+    """Play one episode of ``policy`` in the scene ``truth``, without noise; ``seed`` and ``start`` are as in `play`.
+
+    Raise `InputError` if the policy chooses no row of the candidate table.
+    """
     env = make_env(world, truth, features=policy.required_features)
     policy.bind(env)
     policy.reset(seed)
-    return play(env, lambda _, observation: policy.act(observation), seed, start)
+    name = type(policy).__name__
+    return play(env, lambda _, observation: chosen_row(name, env, policy.act(observation)), seed, start)
 
 
 def play_oracle(world: WorldConfig, truth: GroundTruth, seed: int, start: np.ndarray | None = None) -> Played:

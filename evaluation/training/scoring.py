@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from activestructure_gym.evaluation.archive.conditions import Conditions
 from activestructure_gym.evaluation.archive.jobs import Job, absolute_spec, scene_label, scene_labels, slug
 from activestructure_gym.evaluation.archive.json_files import as_read, read_json, write_json
 from activestructure_gym.evaluation.archive.plugin_code import first_checksum_of, plugin_code_of
-from activestructure_gym.evaluation.archive.temporary import refuse_links
+from activestructure_gym.evaluation.archive.temporary import refuse_links, unlinked
 from activestructure_gym.evaluation.report.tables.formats import code, escaped
 from activestructure_gym.evaluation.statistics import Estimate, stratified_draws, t_quantile
 from activestructure_gym.evaluation.training.config import WorldConfig
@@ -99,8 +100,9 @@ def play_cells(
 ) -> None:
     """Play the episodes ``todo`` whose results ``directory`` lacks, in ``workers`` processes.
 
-    An episode's file is written after all policies have played it. ``notify`` is called with the number of finished
-    episodes and the number of all. Raise `InputError` if the directory holds results of other conditions.
+    A result is written as soon as a policy has played an episode. ``notify`` is called with the number of finished
+    episodes and the number of all. Raise `InputError` if the directory holds results of other conditions, or if a
+    policy fails; its traceback is in ``logs/``.
     """
     conditions = {name: getattr(world, name) for name in ("preset", "frames", "max_planes")}
     conditions["overrides"] = dict(world.overrides)
@@ -240,10 +242,11 @@ _loaded: dict[str, GroundTruth] = {}  # the scene that this process loaded last,
 
 
 def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory: Path) -> None:
-    """Play one episode with every policy whose result is missing, and write the results to ``directory``.
+    """Play one episode with every policy whose result is missing, and write each result to ``directory``.
 
-    The result of a policy whose plug-in code has changed counts as missing.
+    The result of a policy whose plug-in code has changed counts as missing. Raise `InputError` if a policy fails.
     """
+    from activestructure_gym.evaluation.running.engines.failure_text import error_text
     from activestructure_gym.evaluation.training.rollout import play_oracle, play_policy
     from activestructure_gym.ground_truth import ground_truth_of
     from activestructure_gym.policies import make_policy
@@ -265,13 +268,23 @@ def play_cell(world: WorldConfig, policies: Sequence[str], cell: Cell, directory
     start = None if cell.start is None else start_pose(truth.free_space, cell.start)
     content["start"] = "drawn" if start is None else start
     for name in missing:
-        if name == ORACLE_GREEDY:
-            played = play_oracle(world, truth, cell.seed, start)
-        else:
-            played = play_policy(world, truth, make_policy(name), cell.seed, start)
+        try:
+            if name == ORACLE_GREEDY:
+                played = play_oracle(world, truth, cell.seed, start)
+            else:
+                played = play_policy(world, truth, make_policy(name), cell.seed, start)
+        except Exception as error:  # a plug-in policy may raise any exception
+            log = directory / "logs" / f"{file.stem}.log"
+            log.parent.mkdir(exist_ok=True)
+            unlinked(log).write_text(traceback.format_exc(), encoding="utf-8")
+            said = str(error) if isinstance(error, InputError) else error_text(error)
+            raise InputError(
+                f"{name} on {scene_label(cell.scene)}, seed {cell.seed}: {said}; the traceback is in "
+                f"'{log}', and finished results are kept"
+            ) from error
         content[name] = {"auc": played.auc, "frames": played.frames, "coverage": played.coverage}
         content[name] |= {"code": codes[name]} if codes[name] else {}
-    write_json(file, content)
+        write_json(file, content)
 
 
 def _code_of(world: WorldConfig, policy: str) -> dict[str, str]:

@@ -33,8 +33,8 @@ class Random(Policy):
             self.native_settings = POLICIES.get(name).native_settings
 
     def act(self, observation: Observation) -> int:
-        """Return a valid view, all equally likely; if there is none, a valid row. Raise `ValueError` if none is."""
+        """Return a valid view, all equally likely; if there is none, a valid row. Raise `InputError` if none is."""
         valid = np.flatnonzero(self.only_views(observation)["action_mask"])
         if not len(valid):
-            raise ValueError("no candidate is valid: the episode has ended, call reset()")
+            raise InputError("no candidate is valid: the episode has ended, call reset()")
         return int(self.rng.choice(valid))

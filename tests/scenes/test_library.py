@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from activestructure_gym.errors import InputError
-from activestructure_gym.scenes.library import SCENES, load_scene, with_options
+from activestructure_gym.scenes.library import SCENES, check_scene_name, load_scene, with_options
 from activestructure_gym.scenes.scene import Scene
 
 
@@ -69,6 +69,14 @@ def test_mistakes_are_said_in_one_sentence(hut, spec, said):
     with pytest.raises(InputError) as caught:
         load_scene(spec)
     assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_scan_is_named_without_the_suffix_of_its_file(tmp_path):
+    check_scene_name("box?inside=1,1,1")  # an option of every scene
+    (tmp_path / "Albertville.glb").touch()
+    check_scene_name(f"gibson:{tmp_path}/Albertville")
+    with pytest.raises(InputError, match="there is no scene file"):
+        check_scene_name(f"gibson:{tmp_path}/Albert")
 
 
 def test_a_factory_anywhere_on_the_path(tmp_path, monkeypatch):

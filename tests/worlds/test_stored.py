@@ -42,6 +42,18 @@ def played(world: Any) -> tuple[list[dict[str, Any]], ReconstructionEnv]:
     return seen, env
 
 
+class Forgetful(SimulatedRobot):
+    def capture(self, world_from_camera: np.ndarray) -> Frame:
+        return None  # type: ignore[return-value]
+
+
+def test_a_capture_without_a_frame_is_told(tmp_path: Path) -> None:
+    for world in (StoredCaptures(tmp_path, robot(Forgetful)), robot(Forgetful)):
+        with pytest.raises(InputError, match="capture.. of Forgetful must return a Frame.*got None"):
+            played(world)
+    assert not list(tmp_path.glob("*.npz"))
+
+
 def test_an_interrupted_episode_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
     whole, env = played(robot())
     with pytest.raises(CaptureFailed, match="battery"):

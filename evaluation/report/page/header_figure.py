@@ -41,9 +41,11 @@ def header_figure(results: Results, anchor: str, directory: Path | None = None) 
         for run in results.runs
         if (link := replay_link(run, directory))
     ]
+    commands = [command for source in results.sources for command in source.commands]
     return render(
         "header_figure.html.j2",
-        commands=[without_folders(source.command) for source in results.sources if source.command],
+        commands=[without_folders(command) for command in commands],
+        shortened=any(without_folders(command) != command for command in commands),
         conditions=f"{job.setup.capitalize()} setup, preset {job.preset}, "
         f"protocol{'s' * (len(results.protocols) > 1)} {' and '.join(results.protocols)}",
         replays=replays,

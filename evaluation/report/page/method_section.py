@@ -33,7 +33,7 @@ def _sources(results: Results) -> Table:
     rows = [
         [
             Cell(source.directory.name),
-            Cell(without_folders(source.command) or "single run"),
+            Cell("; ".join(map(without_folders, source.commands)) or "single run"),
             Cell(str(source.workers or "")),
         ]
         for source in results.sources

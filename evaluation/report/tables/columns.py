@@ -132,7 +132,8 @@ def own_absences(runs: Sequence[Run]) -> list[str]:
     for metric in own_metrics(runs):
         reasons = [reason_of(run, metric.name) for run in runs if value_of(run, metric.name) is None]
         if reasons:
-            texts.append(f"{metric.name}: n/a in {len(reasons)} of {pluralised(len(runs), 'run')}, {reasons[0]}")
+            reason = next(filter(None, reasons), "not measured there")
+            texts.append(f"{metric.name}: n/a in {len(reasons)} of {pluralised(len(runs), 'run')}, {reason}")
     return texts
 
 

@@ -67,6 +67,9 @@ def test_a_policy_says_what_it_brings_in_the_native_setup(capsys):
     mapper, camera = "mapper splatam, 2 iterations a keyframe", "sensor.width = 256, sensor.height = 256"
     assert "Native settings: views of nodes?rows=476 + turns" in out
     assert f"up to 512 of them, {mapper}, {camera}, sensor.max_range = 10.0, mapper.isotropic" in out
+    assert "Native settings: views of nodes?rows=476 + turns" in " ".join(
+        said(capsys, "policies", "random?views_of=activesplat").split()
+    )
     assert "Native settings: nothing." in said(capsys, "policies", "hole_area")
 
 

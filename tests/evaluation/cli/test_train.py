@@ -150,6 +150,28 @@ def test_options_become_a_configuration() -> None:
         TrainingConfig(method="bc", start="x")
 
 
+def test_a_policy_that_fails_is_named_and_the_others_results_are_kept(
+    boxes: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    text = (
+        "from activestructure_gym.policies import Policy\n"
+        "class Half(Policy):\n    def act(self, observation): return 3.7\n"
+        "class Raises(Policy):\n    def act(self, observation): raise RuntimeError('boom')\n"
+    )
+    (tmp_path / "failing_policies.py").write_text(text)
+    for name, words in (("Half", "act() must return a row"), ("Raises", "RuntimeError: boom")):
+        score = ["train", "eval", "--out", name, "--policies", f"pixel_only,failing_policies:{name}", "--workers", "1"]
+        assert main([*score, *TINY]) == 2
+        said = capsys.readouterr().err.splitlines()
+        assert len([line for line in said if line.startswith("asg: ")]) == 1 and words in said[-1]
+        assert f"failing_policies:{name} on box" in said[-1]
+        (log,) = (tmp_path / name / "logs").iterdir()
+        assert words in log.read_text() and "Traceback" in log.read_text()
+        (kept,) = (tmp_path / name / "episodes").iterdir()
+        assert {"random", "pixel_only"} <= set(json.loads(kept.read_text()))
+
+
 def test_from_nothing_to_a_table(boxes: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     learn = ["--episodes", "2", "--epochs", "2", "--validate-every", "1", "--validation-layouts", "2"]
     learn += ["--workers", "1", *TINY]

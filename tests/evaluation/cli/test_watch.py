@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli import main
-from activestructure_gym.evaluation.cli.watch import play
+from activestructure_gym.evaluation.cli.watch import YOU, play
 from activestructure_gym.policies import make_env_and_policy
 from activestructure_gym.viewer import LiveView
 
@@ -45,6 +46,15 @@ def test_a_world_is_watched_like_a_scene(capsys: pytest.CaptureFixture[str]) -> 
     assert "m³ known, no ground truth" in capsys.readouterr().out
 
 
+def test_a_choice_that_is_no_row_is_refused() -> None:
+    env, policy = make_env_and_policy("random", "box", preset="rl", frame_budget=20)
+    policy.act = lambda observation: 3.7  # type: ignore[method-assign, assignment, return-value]
+    view = LiveView("a test")
+    with pytest.raises(InputError, match="policy 'mine:Half': act.. must return a row, .* got 3.7"):
+        play(env, policy, "mine:Half", 0, view, lambda text: None)
+    view.close()
+
+
 def test_you_are_asked_for_every_view_and_the_agent_goes_there() -> None:
     options: dict[str, Any] = {"preset": "fast", "frame_budget": 40, "config": {"sensor": {"width": 64, "height": 36}}}
     env, policy = make_env_and_policy("hole_area", "box", **options)
@@ -69,7 +79,7 @@ def test_you_are_asked_for_every_view_and_the_agent_goes_there() -> None:
 
     clicker = threading.Thread(target=click)
     clicker.start()
-    told = play(env, policy, 0, view, True, lambda text: None)
+    told = play(env, policy, YOU, 0, view, lambda text: None)
     clicker.join(10)
     film = view._recorder.film()  # type: ignore[union-attr]
     view.close()

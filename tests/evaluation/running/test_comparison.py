@@ -92,12 +92,24 @@ def test_runs_without_a_map_are_announced(no_truth):
         Comparison(["box"], ["random"], conditions=Conditions(preset="rl")).prepare()
 
 
-@pytest.mark.parametrize("scene", ["bx", "nowhere/house.glb", "mesh:nowhere.glb", "missing.obj"])
-def test_a_scene_that_is_not_there_is_refused_before_anything_is_compiled(scene, monkeypatch):
+@pytest.mark.parametrize(
+    "scene",
+    [
+        "bx",
+        "nowhere/house.glb",
+        "mesh:nowhere.glb",
+        "missing.obj",
+        "room?foo=1",
+        "room?seed=abc",
+        "procthor:nope.json",
+        "gibson:nope",
+    ],
+)
+def test_a_scene_that_cannot_be_loaded_is_refused_before_anything_is_compiled(scene, monkeypatch):
     from activestructure_gym.evaluation.running import comparison
 
     monkeypatch.setattr(comparison, "warming_up", lambda *given: pytest.fail("compiles"))
-    with pytest.raises(InputError, match="unknown scene|there is no scene file"):
+    with pytest.raises(InputError, match="unknown scene|there is no scene file|unknown option|whole number"):
         Comparison([scene], ["random"]).prepare()
 
 

@@ -1,6 +1,7 @@
 """A comparison with metrics of one's own: they are stored, described and shown, and their code is trusted by nobody."""
 
 import csv
+import dataclasses
 import json
 import sys
 
@@ -64,6 +65,9 @@ def test_tables_and_files_show_it_like_any_other(run, tmp_path):
     titles = [column.title for column in overview_columns([run])]
     assert titles[-5:] == ["broken ↑", "count (1) ↓", "frames", "path (m)", "time (s)"]
     assert own_absences([run]) == ["broken: n/a in 1 of 1 run, ZeroDivisionError: division by zero"]
+    values = {name: value for name, value in run.metrics["metrics"].items() if name != "counted"}
+    other = dataclasses.replace(run, metrics={**run.metrics, "metrics": values, "own_metrics": []})
+    assert own_absences([other, run])[-1] == "counted: n/a in 1 of 2 runs, not measured there"
     write_results(tmp_path, Results([run], []))
     (row,) = csv.DictReader((tmp_path / "results.csv").open())
     assert float(row["counted"]) == value_of(run, "counted") and row["broken"] == ""

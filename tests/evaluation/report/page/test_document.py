@@ -39,7 +39,7 @@ def results(make_module_run, tmp_path_factory):
                         psnr=20.0 + seed + (policy == "a"))
         for scene in ("room", SCENE) for policy in ("a", HOSTILE) for seed in range(2)
     ]  # fmt: skip
-    source = Source(tmp_path_factory.mktemp("c"), "asg compare --scenes room", 2, {"room · c": "RuntimeError: <no>"})
+    source = Source(tmp_path_factory.mktemp("c"), ["asg compare --scenes room"], 2, {"room · c": "RuntimeError: <no>"})
     return Results(runs, [source], "a")
 
 
@@ -247,13 +247,15 @@ def test_no_place_on_the_makers_disk_is_named(make_run, tmp_path):
     run.config["scene"] |= {"source": f"{home}/scenes/flat.glb", "notes": [f"textures of {tmp_path}/t.png are missing"]}
     run.config["configuration"]["layout"] = f"{tmp_path}/layout.json"
     run.directory.mkdir(parents=True)
-    source = Source(tmp_path / "runs", f"asg compare --scenes {home}/scenes/flat.glb --out {tmp_path}/runs", 1,
-                    {"flat · b": f"OSError: {home}/x is full"})  # fmt: skip
+    commands = [f"asg compare --scenes {home}/scenes/flat.glb --out {tmp_path}/runs", "asg compare --resume"]
+    source = Source(tmp_path / "runs", commands, 1, {"flat · b": f"OSError: {home}/x is full"})
     results = Results([run], [source])
     write_results(tmp_path / "out", results)
     for name in (PAGE, "summary.md", "results.csv"):
         text = (tmp_path / "out" / name).read_text(encoding="utf-8")
         assert ("flat.glb" in text or name == "results.csv") and str(tmp_path) not in text and str(home) not in text
+    page = (tmp_path / "out" / PAGE).read_text(encoding="utf-8")
+    assert page.count("<code>asg") == 2 + 1 and "Absolute paths are shortened" in page  # and the one of a replay
 
 
 def test_a_picture_opens_and_closes(path, browser):

@@ -89,7 +89,8 @@ class Explorer:
         Determines every random choice of planner and map.
     directory
         Folder for the run. Every picture is stored next to it (``DIRECTORY.captures``), so an explorer with the same
-        arguments and directory continues an episode that was interrupted. Default: a temporary folder.
+        arguments and directory continues an episode that was interrupted, with the next goal of `next_view`. Default: a
+        temporary folder.
 
     Raises
     ------
@@ -103,8 +104,6 @@ class Explorer:
     >>> explorer = Explorer(
     ...     "hole_area", camera=robot.camera, bounds=robot.bounds, start=robot.start.pose, preset="fast", frame_budget=9
     ... )
-    >>> frame = robot.capture(robot.start.pose)
-    >>> explorer.observe(frame.rgb, frame.depth, frame.world_from_camera)
     >>> while (goal := explorer.next_view()) is not None:
     ...     frame = robot.capture(goal.pose)
     ...     explorer.observe(frame.rgb, frame.depth, frame.world_from_camera)

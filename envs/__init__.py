@@ -20,12 +20,12 @@ from activestructure_gym.envs.registration import ENV_IDS, register_envs
 if TYPE_CHECKING:
     from activestructure_gym.envs.reconstruction_env import ReconstructionEnv
     from activestructure_gym.envs.reward import RewardConfig
-    from activestructure_gym.envs.tasks import ApartmentEnv, Matterport3DEnv, MeshEnv, ReplicaEnv, RoomEnv
+    from activestructure_gym.envs.tasks import ApartmentEnv, Matterport3DEnv, MeshEnv, ReplicaEnv, RoomEnv, WorldEnv
 
 _PLACES = {
     "reconstruction_env": ("ReconstructionEnv",),
     "reward": ("RewardConfig",),
-    "tasks": ("ApartmentEnv", "Matterport3DEnv", "MeshEnv", "ReplicaEnv", "RoomEnv"),
+    "tasks": ("ApartmentEnv", "Matterport3DEnv", "MeshEnv", "ReplicaEnv", "RoomEnv", "WorldEnv"),
 }
 _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _PLACES.items() for name in names}
 
@@ -38,6 +38,7 @@ __all__ = [
     "ReplicaEnv",
     "RewardConfig",
     "RoomEnv",
+    "WorldEnv",
     "register_envs",
 ]
 

@@ -56,7 +56,7 @@ class World(Protocol):
 
     Further attributes are optional:
 
-    - ``truth``, a `GroundTruth`: rewards and metrics use it, planners never do.
+    - ``truth``, a `GroundTruth`: the environment's reward uses it; planners and metrics of runs never do.
     - ``travel(path)``, called before each capture with the poses [P, 4, 4] that lead to it, one per frame. The first
       one follows the current pose, the last one is the pose of the capture. A robot drives along them; `capture` is
       then called for the last one.

@@ -35,7 +35,7 @@ class Why:
     policies: NoNames = ()
     """Print the choices of these policies in the same state as well."""
     truth: Switch = False
-    """Print the true surface (m²) that each view would have shown for the first time."""
+    """Print the true surface (m²) that the path to each view would have shown for the first time."""
     json: Switch = False
     """Print JSON."""
     trust_code: Switch = False

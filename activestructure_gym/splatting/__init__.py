@@ -10,12 +10,9 @@ from typing import TYPE_CHECKING
 from activestructure_gym.splatting.backends import backend_status
 from activestructure_gym.splatting.cpu import (
     LossWeights,
-    PoseGradient,
     Rendering,
     StepLosses,
-    TrackingWeights,
     mapping_step,
-    pose_gradient,
     render,
     render_depth_alpha,
 )
@@ -28,16 +25,13 @@ _OF_TORCH = ("Rasterization", "camera_twist_gradient", "parameter_rows", "raster
 
 __all__ = [
     "LossWeights",
-    "PoseGradient",
     "Rasterization",
     "Rendering",
     "StepLosses",
-    "TrackingWeights",
     "backend_status",
     "camera_twist_gradient",
     "mapping_step",
     "parameter_rows",
-    "pose_gradient",
     "rasterize",
     "render",
     "render_depth_alpha",

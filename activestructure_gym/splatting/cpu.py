@@ -79,35 +79,6 @@ class StepLosses:
     ssim: float  # mean SSIM (1 = equal); nan if its weight is 0
 
 
-@dataclass(frozen=True)
-class TrackingWeights:
-    """Define the weights of the loss for pose tracking: color * |C - I| + depth * |D / A - D_measured|.
-
-    Both terms are sums over the pixels with a measured depth and an alpha A above ``min_alpha`` ([splatam, eq. 8]).
-    Accumulated depth D is divided by alpha as in the mapping loss, unlike in SplaTAM. With ``mean`` the terms are means
-    over these pixels, and colour also over its three channels.
-    """
-
-    color: float = 0.5  # weight of the colour term
-    depth: float = 1.0  # weight of the depth term, per metre
-    min_alpha: float = 0.99  # pixels with a smaller alpha are not compared
-    mean: bool = False  # whether the terms are means instead of sums
-
-    def __post_init__(self) -> None:
-        check_ranges(self, {"color": "[0, 1e6]", "depth": "[0, 1e6]", "min_alpha": "[0, 1)"})
-
-
-@dataclass(frozen=True)
-class PoseGradient:
-    """Hold the tracking loss at a pose, and its gradient for changes camera_from_world -> exp(xi) camera_from_world."""
-
-    loss: float
-    gradient: np.ndarray  # [6] float64 for xi = (rho, phi), metres and radians in the camera frame
-    color: float  # |C - I| without weight: sum or mean, see `TrackingWeights.mean`
-    depth: float  # metres, |D / A - D_measured| without weight: sum or mean, as above
-    pixels: int  # number of pixels compared
-
-
 def render(
     parameters: np.ndarray,  # [14, capacity] float32
     count: int,  # number of Gaussians
@@ -279,41 +250,6 @@ class Steps:
 
 
 begin = Steps
-
-
-def pose_gradient(
-    parameters: np.ndarray,  # [14, capacity] float32
-    count: int,  # number of Gaussians
-    camera: PinholeCamera,
-    world_from_camera: np.ndarray,  # [4, 4]
-    target_rgb: np.ndarray,  # [H, W, 3] float32 0..1
-    target_depth: np.ndarray,  # [H, W] float32 metres, 0 = no return
-    weights: TrackingWeights = TrackingWeights(),
-    *,
-    threads: int | None = None,
-) -> PoseGradient:
-    """Return the tracking loss of an image and its gradient with respect to the pose; the map is unchanged.
-
-    A gradient descent step is ``camera_from_world = se3_exp(-rate * gradient) @ camera_from_world``.
-    """
-    check_map(parameters, count)
-    pose = inverse_of_pose(world_from_camera)
-    pooled = PooledWorkspace()
-    workspace, used = pooled.workspace, fitted(parameters)
-    workspace.prepare(used, count, camera, pose, threads=threads)
-    of_color = weights.color / 3.0 if weights.mean else weights.color
-    color, depth, pixels, by_pose = workspace.tracking_losses(
-        target_rgb, target_depth, of_color, weights.depth, weights.min_alpha
-    )
-    by_pose = by_pose.astype(np.float64)
-    turned = by_pose @ pose[:3].T  # d exp(xi) T = hat(xi) T, so this is the gradient by the entries of hat(phi)
-    gradient = np.empty(6)
-    gradient[:3] = by_pose[:, 3]
-    gradient[3:] = turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]
-    if weights.mean:
-        of_pixel = 1.0 / max(1, pixels)  # known only after the gradient images, in which the gradient is linear
-        gradient, color, depth = gradient * of_pixel, color * of_pixel / 3.0, depth * of_pixel
-    return PoseGradient(weights.color * color + weights.depth * depth, gradient, color, depth, pixels)
 
 
 def check_map(parameters: np.ndarray, count: int) -> None:

@@ -296,13 +296,13 @@ def _step_chunk(number, lists, step, scratch):
 
 
 # Offsets in the results: gradient by camera_from_world [3, 4], then the sums of the losses' terms over all tiles.
-OF_POSE, RESULTS = 12, 15
+OF_POSE, RESULTS = 12, 14
 _POSE_LANES = np.array([[SUM_LANES.index(x) for x in (3 * j, 3 * j + 1, 3 * j + 2, 9 + j)] for j in range(3)]).ravel()
 
 
 @inner
 def _sum_up(chunks, grid, pose_parts, terms, results):
-    """Sum pose gradients over chunks and loss terms over tiles into ``results [15]``, in float64, in a fixed order."""
+    """Sum pose gradients over chunks and loss terms over tiles into ``results [14]``, in float64, in a fixed order."""
     for number in range(OF_POSE):
         total = 0.0
         for chunk in range(chunks):
@@ -310,7 +310,7 @@ def _sum_up(chunks, grid, pose_parts, terms, results):
         poke(results, number, total)
     if len(terms) == 0:
         return
-    for number in range(3):
+    for number in range(2):
         total = 0.0
         for tile in range(grid[TILES_X] * grid[TILES_Y]):
             for lane in range(LANES):

@@ -13,10 +13,10 @@ from activestructure_gym.splatting.simd import LANES, F, fma, inline, inner, neg
 
 # Factors of the losses: of |colour difference|, of SSIM, of |depth error|, and twice the factor of (1 - alpha)^2. Then
 # the minimum alpha of a pixel whose depth is compared. NORMALISED: 1 to compare depth / alpha, 0 to compare accumulated
-# depth. EVERYWHERE: 1 to compare colour in every pixel, 0 only where depth is compared.
-OF_COLOR, OF_SSIM, OF_DEPTH, OF_ALPHA, MIN_ALPHA, NORMALISED, EVERYWHERE, FACTORS = range(8)
-# Offsets of the sums of a tile, 16 lanes each: |colour difference|, |depth error|, number of pixels compared.
-TILE_COLOR, TILE_DEPTH, TILE_COMPARED, TILE_TERMS = 0, LANES, 2 * LANES, 3 * LANES
+# depth.
+OF_COLOR, OF_SSIM, OF_DEPTH, OF_ALPHA, MIN_ALPHA, NORMALISED, FACTORS = range(7)
+# Offsets of the sums of a tile, 16 lanes each: |colour difference| and |depth error|.
+TILE_COLOR, TILE_DEPTH, TILE_TERMS = 0, LANES, 2 * LANES
 
 
 @inline
@@ -37,7 +37,7 @@ def compare_tile(tile, grid, state, comparison, edge):
     target, target_depth, factors, terms = comparison
     x, y = corner_of(tile, grid)
     width, one = grid[WIDTH], spread(F(1.0))
-    color_sum, depth_sum, compared = spread(F(0.0)), spread(F(0.0)), spread(F(0.0))
+    color_sum, depth_sum, of_color = spread(F(0.0)), spread(F(0.0)), spread(factors[OF_COLOR])
     for block in range(grid[TILE_BLOCKS]):
         left, top, at = x + 4 * (block & 7), y + 4 * (block >> 3), COLORED_STATE * block
         if left >= width or top >= grid[HEIGHT]:
@@ -64,18 +64,14 @@ def compare_tile(tile, grid, state, comparison, edge):
         has_depth = measured > F(0.0)
         counts = has_depth & (opaque > factors[MIN_ALPHA])
         # Outside the image colours and targets are 0, and so are all values computed from them.
-        colored = sel(counts, one, spread(factors[EVERYWHERE]))
-        of_color = colored * factors[OF_COLOR]
         error_r, g_r = absolute_difference(r, red, of_color)
         error_g, g_g = absolute_difference(g, green, of_color)
         error_b, g_b = absolute_difference(b, blue, of_color)
-        error = error_r + error_g + error_b
-        color_sum = fma(error, colored, color_sum)
+        color_sum = color_sum + (error_r + error_g + error_b)
         share = sel(counts & (spread(factors[NORMALISED]) > F(0.0)), opaque, F(1.0))
         expected = z / share
         error, g_z = absolute_difference(expected, measured, spread(factors[OF_DEPTH]))
         depth_sum = depth_sum + sel(counts, error, F(0.0))
-        compared = compared + sel(counts, one, F(0.0))
         g_z = sel(counts, g_z / share, F(0.0))
         g_a = neg(sel(has_depth, left_over * factors[OF_ALPHA], F(0.0)))
         g_a = g_a - g_z * expected * factors[NORMALISED]
@@ -89,4 +85,3 @@ def compare_tile(tile, grid, state, comparison, edge):
         store(state, at + 96, g_a)
     store(terms, TILE_TERMS * tile + TILE_COLOR, color_sum)
     store(terms, TILE_TERMS * tile + TILE_DEPTH, depth_sum)
-    store(terms, TILE_TERMS * tile + TILE_COMPARED, compared)

@@ -299,8 +299,8 @@ class Workspace:
         """
         pixels = self.camera.height * self.camera.width
         factors = np.empty(tile_losses.FACTORS, np.float32)
-        factors[tile_losses.OF_COLOR], factors[tile_losses.EVERYWHERE] = of_color / (3 * pixels), 1.0
-        factors[tile_losses.OF_SSIM], factors[tile_losses.OF_DEPTH] = -of_ssim / (3 * pixels), of_depth / measured
+        factors[tile_losses.OF_COLOR], factors[tile_losses.OF_SSIM] = of_color / (3 * pixels), -of_ssim / (3 * pixels)
+        factors[tile_losses.OF_DEPTH] = of_depth / measured
         factors[tile_losses.OF_ALPHA] = 2.0 * of_alpha / pixels
         factors[tile_losses.MIN_ALPHA] = 0.5 if normalised_depth else -1.0
         factors[tile_losses.NORMALISED] = 1.0 if normalised_depth else 0.0
@@ -326,46 +326,13 @@ class Workspace:
         target_depth, pixels = flat(target_depth), self.camera.height * self.camera.width
         measured = max(1, int(np.count_nonzero(target_depth > 0)))
         factors = self._factors(of_color, 0.0, of_depth, of_alpha, normalised_depth, measured)
-        color, depth, _ = self._fuse(factors, target_rgb, target_depth, rates, first_moment, second_moment)
-        return color / (3 * pixels), depth / measured
-
-    def tracking_losses(
-        self,
-        target_rgb: np.ndarray,  # [H, W, 3] float32
-        target_depth: np.ndarray,  # [H, W] float32
-        of_color: float,  # factor of the sum of |colour difference|
-        of_depth: float,  # factor of the sum of |depth error|
-        least_alpha: float,  # pixels with a smaller alpha are not compared
-    ) -> tuple[float, float, int, np.ndarray]:
-        """Compute the tracking loss after `prepare`: sums over pixels with a measured depth and an alpha above a limit.
-
-        The parameters are unchanged. Returns the sums of |colour difference| and |depth error|, the number of these
-        pixels, and the gradient ``[3, 4]`` by camera_from_world.
-        """
-        factors = np.zeros(tile_losses.FACTORS, np.float32)
-        factors[tile_losses.OF_COLOR], factors[tile_losses.OF_DEPTH] = of_color, of_depth
-        factors[tile_losses.MIN_ALPHA], factors[tile_losses.NORMALISED] = least_alpha, 1.0
-        rates = np.zeros(layout.RATES, np.float32)
-        rates[layout.MODE] = layout.POSE_ONLY
-        arrays = (rates, self.parameters, self.parameters)
-        color, depth, compared = self._fuse(factors, target_rgb, flat(target_depth), *arrays)
-        return color, depth, int(compared), self._by_pose()
-
-    def _fuse(
-        self,
-        factors: np.ndarray,
-        target_rgb: np.ndarray,
-        target_depth: np.ndarray,
-        rates: np.ndarray,
-        first_moment: np.ndarray,
-        second_moment: np.ndarray,
-    ) -> list[float]:
         tiles = int(self.grid[layout.TILES_X] * self.grid[layout.TILES_Y])
         terms = self._buffer("terms", tiles * tile_losses.TILE_TERMS)
         comparison = Comparison(flat(target_rgb), target_depth, factors, terms)
         step = self._step(rates, first_moment, second_moment, self.parameters)
         self._run_through(kernels.fuse, self.lists, self._scratch, comparison, step)
-        return self._results[stepping.OF_POSE :].tolist()
+        color, depth = self._results[stepping.OF_POSE :].tolist()
+        return color / (3 * pixels), depth / measured
 
     def set_gradient_images(self, by_color: np.ndarray, by_depth: np.ndarray, by_alpha: np.ndarray) -> None:
         """Set the gradients of a loss by the three images: ``[H, W, 3]``, ``[H, W]`` and ``[H, W]``."""

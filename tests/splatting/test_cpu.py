@@ -2,12 +2,10 @@ import numpy as np
 import pytest
 import torch
 
-from activestructure_gym.geometry import PinholeCamera, se3_exp
+from activestructure_gym.geometry import PinholeCamera
 from activestructure_gym.splatting import (
     LossWeights,
-    TrackingWeights,
     mapping_step,
-    pose_gradient,
     render,
     render_depth_alpha,
     workspace,
@@ -200,66 +198,6 @@ def test_isotropic_step_is_adam_of_one_shared_log_scale(splats_of):
     uneven[8] = 0.1
     with pytest.raises(ValueError, match="one learning rate"):
         mapping_step(after, first, second, *arguments, weights=weights, learning_rates=uneven, isotropic=True)
-
-
-@pytest.mark.parametrize("mean", [False, True])
-@pytest.mark.parametrize("kind", ["random", "border", "flat", "clamped"])
-def test_pose_gradient_is_autograd_of_the_tracking_loss(kind, mean, splats_of):
-    splats = splats_of(kind, seed=2)
-    target, target_depth = _targets(splats)
-    weights = TrackingWeights(color=0.7, depth=0.4, min_alpha=0.6, mean=mean)
-    xi = torch.zeros(6, dtype=torch.float64, requires_grad=True)
-    rho, phi, nothing = xi[:3], xi[3:], torch.zeros((), dtype=torch.float64)
-    hat = torch.stack([nothing, -phi[2], phi[1], phi[2], nothing, -phi[0], -phi[1], phi[0], nothing]).reshape(3, 3)
-    pose = splats.camera_from_world.detach()
-    first_order = torch.cat([hat @ pose[:3, :3], (hat @ pose[:3, 3] + rho)[:, None]], dim=1)
-    color, depth, alpha = rasterize_reference(
-        *(tensor.detach() for tensor in splats.tensors),
-        pose + torch.cat([first_order, torch.zeros(1, 4, dtype=torch.float64)]), splats.camera,
-    )  # fmt: skip
-    y, d = torch.tensor(target, dtype=torch.float64), torch.tensor(target_depth, dtype=torch.float64)
-    mask = (d > 0) & (alpha.detach() > weights.min_alpha)
-    pixels = int(mask.sum())
-    assert 100 < pixels < int((d > 0).sum())
-    color_error, depth_error = (color - y).abs()[mask].sum(), (depth[mask] / alpha[mask] - d[mask]).abs().sum()
-    if mean:
-        color_error, depth_error = color_error / (3 * pixels), depth_error / pixels
-    loss = weights.color * color_error + weights.depth * depth_error
-    (expected,) = torch.autograd.grad(loss, xi)
-
-    parameters = splats.parameters()
-    found = pose_gradient(parameters, 200, splats.camera, splats.world_from_camera, target, target_depth, weights)
-    assert found.pixels == pixels
-    assert found.loss == pytest.approx(loss.item(), rel=1e-5)
-    assert found.color == pytest.approx(color_error.item(), rel=1e-5)
-    assert found.depth == pytest.approx(depth_error.item(), rel=1e-5)
-    assert np.linalg.norm(found.gradient - expected.numpy()) <= 1e-4 * np.linalg.norm(expected)
-    assert np.array_equal(parameters, splats.parameters())
-
-
-def test_pose_gradient_leads_back_to_the_pose_of_the_picture(splats_of):
-    splats = splats_of("flat", seed=6)
-    picture = render(splats.parameters(), 200, splats.camera, splats.world_from_camera)
-    depth = np.where(picture.alpha > 0.5, picture.depth / np.maximum(picture.alpha, 1e-6), 0).astype(np.float32)
-    true = np.linalg.inv(splats.world_from_camera)
-    pose = se3_exp(np.array([0.02, -0.01, 0.02, 0.01, 0.015, -0.01])) @ true
-    start, weights = pose, TrackingWeights(min_alpha=0.5, mean=True)
-    for step in range(100):
-        found = pose_gradient(
-            splats.parameters(), 200, splats.camera, np.linalg.inv(pose), picture.color, depth, weights
-        )
-        length = 4e-3 * 0.95**step
-        pose = se3_exp(-length * found.gradient / np.linalg.norm(found.gradient)) @ pose
-    assert np.abs(pose - true).max() < 0.05 * np.abs(start - true).max()
-
-
-def test_nothing_opaque_gives_no_pose_gradient(splats_of):
-    splats = splats_of("empty")
-    target, target_depth = _targets(splats)
-    found = pose_gradient(splats.parameters(), 0, splats.camera, splats.world_from_camera, target, target_depth)
-    assert found.pixels == 0 and found.loss == 0.0 and not found.gradient.any()
-    with pytest.raises(ValueError, match="min_alpha"):
-        TrackingWeights(min_alpha=1.0)
 
 
 @pytest.mark.parametrize("shape", [(64, 48), (70, 50), (1, 1), (33, 5)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -75,13 +76,16 @@ class Planner(Policy):
 class Greedy(Planner):
     """Choose T* = argmax of the score, where the gain is the first required feature; it must not be negative."""
 
+    # Chooses by the scores: the first of equal ones by `best_valid`, the nearest by `nearest_of_best`.
+    choose: ClassVar[Callable[..., int]] = staticmethod(best_valid)
+
     def act(self, observation: Observation) -> int:
-        """Return the valid row with the highest score; the first of equal ones."""
+        """Return the valid row with the highest score; `choose` decides between equal ones."""
         observation = self.only_views(observation)
         name = self.required_features[0]
         gain = self.candidates(observation)[name]
         terms = self.score_terms(name, gain, observation)
-        choice = best_valid(self.scores(gain, observation), observation, terms)
+        choice = self.choose(self.scores(gain, observation), observation, terms=terms)
         self._trace = {name: float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
         return choice
 

@@ -60,7 +60,7 @@ def test_no_module_goes_by_its_short_name() -> None:
 def test_importing_the_package_loads_no_heavy_library() -> None:
     code = (
         "import sys, activestructure_gym, activestructure_gym.policies, activestructure_gym.evaluation.cli;"
-        "heavy = ('torch', 'trimesh', 'numba', 'cv2', 'matplotlib', 'pyrender', 'scipy');"
+        "heavy = ('torch', 'trimesh', 'numba', 'cv2', 'matplotlib', 'pyrender', 'scipy', 'stable_baselines3');"
         "print([m for m in heavy if m in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)

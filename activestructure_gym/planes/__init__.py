@@ -21,7 +21,7 @@ from activestructure_gym.planes.detection import (
     detect_planes,
     segment_planes,
 )
-from activestructure_gym.planes.graph import GraphUpdate, PlaneGraphConfig, PlaneSceneGraph
+from activestructure_gym.planes.graph import PlaneGraphConfig, PlaneSceneGraph
 from activestructure_gym.planes.matching import MatchingConfig
 from activestructure_gym.planes.nodes import PlaneNode
 from activestructure_gym.planes.quality import (
@@ -55,7 +55,6 @@ __all__ = [
     "QUALITY_MODES",
     "Deficiencies",
     "GraphState",
-    "GraphUpdate",
     "MapPoints",
     "MatchingConfig",
     "PlaneArrays",

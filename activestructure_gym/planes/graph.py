@@ -15,7 +15,6 @@ from activestructure_gym.planes.detection import (
     PlaneDetection,
     PlaneDetectionConfig,
     PlaneSegment,
-    no_planes,
     segment_planes,
 )
 from activestructure_gym.planes.matching import MatchingConfig, match_segment, may_be_same, same_surface, stack_planes
@@ -77,16 +76,6 @@ class PlaneGraphConfig:
 NO_NODE = -1
 
 
-@dataclass(frozen=True)
-class GraphUpdate:
-    """Hold the changes of the graph by one keyframe."""
-
-    detection: PlaneDetection
-    node_ids: tuple[int, ...]  # per segment, the id of the plane it was fused into, -1 = too small for a plane
-    created: tuple[int, ...]  # ids of new planes that are still in the graph
-    merged: tuple[tuple[int, int], ...]  # (kept id, removed id)
-
-
 class PlaneSceneGraph:
     """Hold the planes of a scene and their relations, updated keyframe by keyframe.
 
@@ -108,13 +97,12 @@ class PlaneSceneGraph:
 
     def update(
         self, frame: Frame, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None
-    ) -> GraphUpdate:
+    ) -> None:
         """Detect the planes of a keyframe, fuse them into the graph, and assess the graph; arguments as in `assess`."""
-        joined = self.integrate(frame)
+        self.integrate(frame)
         self.assess(space_state=space_state, map_points=map_points)
-        return joined
 
-    def integrate(self, frame: Frame, detection: PlaneDetection | None = None) -> GraphUpdate:
+    def integrate(self, frame: Frame, detection: PlaneDetection | None = None) -> None:
         """Fuse the segments of a keyframe into the planes; by default the segments are detected in the frame.
 
         The graph is not assessed: an agent takes several keyframes between two decisions, and only the state at a
@@ -123,23 +111,14 @@ class PlaneSceneGraph:
         if detection is None:
             if not self.config.enabled:
                 self.keyframes += 1
-                return GraphUpdate(no_planes(frame), (), (), ())
+                return
             detection = segment_planes(frame, self.config.detection)
-        first_new = self._next_id
         owner = self._assign(frame, detection.segments)
         touched = sorted(set(owner) - {NO_NODE})
         if touched:
             self._fuse(frame, detection, owner, touched)
-        merged = self._merge(touched)
+            self._merge(touched)
         self.keyframes += 1
-        stays = {gone: kept for kept, gone in merged}
-        ids = []
-        for node_id in owner:
-            while node_id in stays:
-                node_id = stays[node_id]
-            ids.append(node_id)
-        created = tuple(node.id for node in self.nodes if node.id >= first_new)
-        return GraphUpdate(detection, tuple(ids), created, tuple(merged))
 
     def node(self, node_id: int) -> PlaneNode:
         """Return the plane with this id; raise KeyError if it was merged into another plane or never existed."""
@@ -191,14 +170,11 @@ class PlaneSceneGraph:
             own = [segment for segment, node_id in zip(detection.segments, owner) if node_id == node.id]
             node.fuse(own, patches[k], moments[k], self.keyframes, self.config.fusion_rate)
 
-    def _merge(self, touched: list[int]) -> list[tuple[int, int]]:
-        """Merge planes that satisfy the coplanar mode after their update; return pairs of kept and removed id.
+    def _merge(self, touched: list[int]) -> None:
+        """Merge planes that satisfy the coplanar mode after their update.
 
         ``touched`` are the ids of the updated planes. The smaller id, that of the older plane, is kept.
         """
-        merged: list[tuple[int, int]] = []
-        if not touched:
-            return merged
         queue = list(touched)
         near = may_be_same(self.nodes, self.config.matching)
         while queue:
@@ -212,10 +188,8 @@ class PlaneSceneGraph:
                     kept.absorb(gone)
                     self.nodes.remove(gone)
                     near = may_be_same(self.nodes, self.config.matching)
-                    merged.append((kept.id, gone.id))
                     queue.append(kept.id)  # the merged plane may reach other planes
                     break
-        return merged
 
     def assess(self, *, space_state: SpaceState | None = None, map_points: MapPoints | None = None) -> None:
         """Compute edges, spanning forest, quality, surprise, deficit and deficiencies of the current planes.

@@ -17,10 +17,10 @@ class Stay(Source):
     """
 
     rounds: int = 1
-    rows: int = 1
+    rows = 1  # no option
 
     def __post_init__(self) -> None:
-        check_ranges(self, {"rounds": "[1, 1000]", "rows": "[1, 1]"})
+        check_ranges(self, {"rounds": "[1, 1000]"})
 
     def propose(self, context: SourceContext) -> Proposals:
         """Return the pose of the agent, with the rounds of optimisation."""
@@ -36,10 +36,7 @@ class Finish(Source):
     the first frame.
     """
 
-    rows: int = 1
-
-    def __post_init__(self) -> None:
-        check_ranges(self, {"rows": "[1, 1]"})
+    rows = 1  # no option
 
     def propose(self, context: SourceContext) -> Proposals:
         """Return the pose of the agent as a proposal that ends the episode; no proposal in the first frame."""

@@ -377,17 +377,14 @@ def source_of(
     ``record`` is the content of ``compare.json``. By the name of the job, ``damaged`` has the reason for each damaged
     run, and ``titles`` the titles; None derives the titles from the record.
     """
-    finished, ended = {run.job.hash for run in runs}, {run.job.title for run in runs}
+    finished = {run.job.hash for run in runs}
     jobs = [Job.from_dict(content) for content in (record.get("jobs") or {}).values()]
     titles = titles_of(jobs) if titles is None else titles
-    failed, missing = dict(record.get("failed") or {}), dict[str, str]()
+    failed, missing = record.get("failed") or {}, dict[str, str]()
     for job in jobs:
-        # Records of earlier versions have the errors by title. Another process may have finished a job that failed.
-        errors = [failed.pop(name, None) for name in (job.name, job.title)]
-        if job.hash not in finished:
-            reason = next(filter(None, ((damaged or {}).get(job.name), *errors)), "not finished")
+        if job.hash not in finished:  # another process may have finished a job that failed
+            reason = (damaged or {}).get(job.name) or failed.get(job.name) or "not finished"
             kept = "; its episode is complete, but not measured yet" * is_played(run_directory(directory, job))
             missing[titles[job.name]] = reason + kept
-    others = {title: error for title, error in failed.items() if title not in ended}
     commands = [command for command in (record.get("command", ""), *record.get("resumed", ())) if command]
-    return Source(directory, commands, record.get("workers"), others | missing)
+    return Source(directory, commands, record.get("workers"), missing)

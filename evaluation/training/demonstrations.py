@@ -38,7 +38,7 @@ from activestructure_gym.policies.learned.config import USED_KEYS
 
 DATA = "demonstrations"
 _DESCRIPTION = "demonstrations.json"
-_RECORDED = ("scores", "rewards", "ends", "actions", "terminated")  # arrays in addition to `USED_KEYS`
+_RECORDED = ("scores", "rewards", "ends", "actions")  # arrays in addition to `USED_KEYS`
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,6 @@ class Demonstrations:
     rewards: np.ndarray  # [N] reward of the step from this state
     ends: np.ndarray  # [N] bool: the last state of its episode
     actions: np.ndarray  # [N] int16: the row that was taken; a share ``explore`` of them is random
-    terminated: np.ndarray  # [N] bool: the last state of an episode that ended before its budget was used up
 
     def __len__(self) -> int:
         return len(self.scores)
@@ -149,8 +148,7 @@ def _layout(config: TrainingConfig) -> dict[str, Array]:
     }  # fmt: skip
     dtypes = {"action_mask": "i1", "plane_mask": "i1", "candidate_planes": "i1", "rewards": "f8"}
     layout = {name: Array(dtypes.get(name, "f4"), ("N", *shape), least=1) for name, shape in shapes.items()}
-    ends = {name: Array("b1", ("N",), least=1) for name in ("ends", "terminated")}
-    return layout | ends | {"actions": Array("i2", ("N",), low=0, least=1)}
+    return layout | {"ends": Array("b1", ("N",), least=1), "actions": Array("i2", ("N",), low=0, least=1)}
 
 
 def record(config: TrainingConfig, number: int) -> dict[str, np.ndarray]:
@@ -204,7 +202,6 @@ def _episode(config: TrainingConfig, env: Any, rng: np.random.Generator) -> Iter
         )
         yield state | {
             "scores": scores.astype(np.float32), "rewards": earned, "ends": ended, "actions": np.int16(action),
-            "terminated": bool(terminated),
         }  # fmt: skip
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from activestructure_gym.policies.base import POLICIES, Observation, nearest_of_best
-from activestructure_gym.policies.greedy import Planner
+from activestructure_gym.policies.base import POLICIES, nearest_of_best
+from activestructure_gym.policies.greedy import Greedy
 from activestructure_gym.policies.native_settings import SELECTED_VIEWS
 
 
 @POLICIES.register("gavis")
-class Gavis(Planner):
+class Gavis(Greedy):
     """Choose argmax of the entropy of a view's colours (feature `gavis`), without a travel term.
 
     The entropy is large where keyframes have not seen a surface from the side of the view, or not at all.
@@ -21,11 +21,4 @@ class Gavis(Planner):
     source = "by a digest of Xue et al., GAVIS, CVPR 2026, and the code of NVF, CVPR 2024"
     required_features = ("gavis",)
     native_settings = replace(SELECTED_VIEWS, budget="10 (objects), 40 (Gibson) or 80 (HM3D) views")
-
-    def act(self, observation: Observation) -> int:
-        """Return the valid row with the highest score; of equal ones the one with the fewest frames."""
-        gain = self.candidates(observation)["gavis"]
-        terms = self.score_terms("gavis", gain, observation)
-        choice = nearest_of_best(self.scores(gain, observation), observation, terms=terms)
-        self._trace = {"gavis": float(gain[choice]), "travel": float(self.travel_factor(observation)[choice])}
-        return choice
+    choose = staticmethod(nearest_of_best)

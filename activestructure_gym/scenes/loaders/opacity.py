@@ -41,11 +41,6 @@ class Opacity:
         """Return the minimum opacity of a solid point."""
         return self.cutoff - _ROUNDING
 
-    @property
-    def varies(self) -> bool:
-        """Return whether the opacity is nonlinear within a face, so that faces must be split."""
-        return self.picture is not None and self.uv is not None
-
     def at_vertices(self, count: int) -> np.ndarray:  # [V]
         """Return the opacity of ``count`` vertices without the image: factor times vertex value, at least 0.
 

@@ -112,7 +112,7 @@ def test_a_file_that_was_changed_is_another_scene(make_run):
 def test_what_failed_and_was_finished_later_is_not_missing(make_run, tmp_path):
     run, lost = make_run(), Job("room", "b", 0)
     jobs = {job.name: job.as_dict() for job in (run.job, lost)}
-    record = {"jobs": jobs, "failed": {run.job.title: "exit code 1", lost.title: "MemoryError: elsewhere"}}
+    record = {"jobs": jobs, "failed": {run.job.name: "exit code 1", lost.name: "MemoryError: elsewhere"}}
     assert source_of(tmp_path, record, [run]).missing == {lost.title: "MemoryError: elsewhere"}
 
 
@@ -170,8 +170,9 @@ def test_runs_of_two_protocols_are_not_mixed_and_each_is_reported(make_run):
 
 def test_what_was_asked_for_and_has_no_run_is_missing(make_run, tmp_path):
     run = make_run()
-    jobs = {job.name: job.as_dict() for job in (run.job, Job("room", "b", 0), Job("room", "c", 0))}
-    record = {"command": "asg compare", "workers": 2, "jobs": jobs, "failed": {"room · c · seed 0": "RuntimeError: no"}}
+    lost = [Job("room", "b", 0), Job("room", "c", 0)]
+    jobs = {job.name: job.as_dict() for job in (run.job, *lost)}
+    record = {"command": "asg compare", "workers": 2, "jobs": jobs, "failed": {lost[1].name: "RuntimeError: no"}}
     source = source_of(tmp_path, record, [run])
     assert source.missing == {"room · b · seed 0": "not finished", "room · c · seed 0": "RuntimeError: no"}
 

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-import torch
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.mapping import MAPPERS
@@ -82,18 +81,6 @@ def test_refining_looks_at_the_given_keyframes_alone(room_frames, monkeypatch):
     assert len(asked) == 3 and set().union(*asked) == {1, 3}
     with pytest.raises(ValueError, match="keyframe indices must lie in 0..3"):
         mapper.refine(1, keyframe_indices=[4])
-
-
-def test_same_bytes_with_any_number_of_threads(room_frames):
-    found, usual = [], torch.get_num_threads()
-    for threads in (2, 1):
-        torch.set_num_threads(threads)
-        mapper = _mapper(iterations=3)
-        reports = [mapper.observe(frame) for frame in room_frames[:2]]
-        found.append((mapper.map.parameters[:, : mapper.map.count].tobytes(), repr(reports)))
-        assert torch.get_num_threads() == threads
-    torch.set_num_threads(usual)
-    assert found[0] == found[1]
 
 
 def test_what_follows_gaussians_is_refused(room_frames):

@@ -195,6 +195,12 @@ def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
     assert f"`active_gs` ends {low:.1f} to {high:.1f} points above chance on its short moves**" in told
     low, high = spread("frontier", "r3_recon")
     assert f"`frontier` and `r3_recon` {low:.1f} to {high:.1f}." in told
+    low, high = spread("gs_planner", "hgs_planner")
+    assert f"`gs_planner` and `hgs_planner` end {low:.1f} to {high:.1f} points above chance on their views." in told
+    low, high = spread("gavis")
+    assert f"`gavis` ends {low:.1f} to {high:.1f} points above chance on its views**" in told
+    low, high = spread("fisherrf", "view_angle")
+    assert f"`fisherrf` and `view_angle` {low:.1f} to {high:+.1f}:" in told
     low, high = spread("gauss_mi")
     assert f"`gauss_mi` ends {low:.1f} to {high:.1f} points above chance on its moves.**" in told
     low, high = spread("hole_area", "unknown_volume", "unseen", "learned")

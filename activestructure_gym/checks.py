@@ -81,11 +81,12 @@ def check_policy(policy: str | type[Policy], scene: SceneSpec = "room", *, frame
     AssertionError
         For the first fault.
     InputError
-        For a `trace` that a run cannot hold.
+        For a `trace` that a run cannot hold, or native settings that cannot be used.
     """
-    chosen, times = [], list[float]()
+    chosen, times, made = [], list[float](), None
     for _ in range(2):
-        env, made = make_env_and_policy(policy, scene, preset="fast", frame_budget=frames, config=_SMALL)
+        env, fresh = make_env_and_policy(policy, scene, preset="fast", frame_budget=frames, config=_SMALL)
+        made = made or fresh  # one object plays both episodes
         made.reset(0)
         observation, _ = env.reset(seed=0)
         rows, ended = list[int](), not observation["action_mask"].any()
@@ -110,6 +111,9 @@ def check_policy(policy: str | type[Policy], scene: SceneSpec = "room", *, frame
         f"two episodes with the same seed gave the rows {chosen[0]} and {chosen[1]}: draw random numbers from "
         "self.rng, and keep no state over reset()"
     )
+    native, _ = make_env_and_policy(policy, scene, setup="native", preset="fast", frame_budget=frames)
+    native.reset(seed=0)
+    native.close()
     return Checked(len(chosen[0]), float(np.median(times)))
 
 

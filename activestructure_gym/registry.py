@@ -15,6 +15,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import os
+import sys
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -61,10 +62,19 @@ class Registry(Generic[T]):
     def register(self, name: str) -> Callable[[T], T]:
         """Return a decorator that registers an object, as in ``@POLICIES.register("mine")``.
 
-        It replaces an entry of the same name.
+        A module that is executed again replaces its own entry. Raise `InputError` if ``name`` is no text, or if another
+        file has registered it: names of features and policies select what a run computes.
         """
+        if not isinstance(name, str):
+            raise InputError(f"register takes a name, as in @register('mine'), got {short_repr(name)}")
 
         def remember(entry: T) -> T:
+            before, now = self._made_in(name), _module_of(entry)
+            if before != now and _file_of(before) != _file_of(now) and name in self._entries:
+                raise InputError(
+                    f"the {self.kind} '{name}' of the module {now} is already registered by {before}: give it another "
+                    "name"
+                )
             self._entries[name] = entry
             return entry
 
@@ -128,9 +138,7 @@ class Registry(Generic[T]):
 
     def _made_in(self, name: str) -> str:
         """Return the module in which the entry ``name`` is defined; empty if there is none in this process."""
-        entry = self._entries.get(name)
-        # The function of a feature is its attribute ``compute``.
-        return getattr(getattr(entry, "compute", entry), "__module__", None) or ""
+        return _module_of(self._entries.get(name))
 
     def _find(self, name: str) -> T:
         if name in self._entries:
@@ -183,6 +191,17 @@ class Registry(Generic[T]):
             raise InputError(
                 f"{self.kind} '{path}': module '{module_name}'{where} has no '{attribute}'{hint}"
             ) from error
+
+
+def _module_of(entry: Any) -> str:
+    """Return the name of the module in which an entry is defined; empty if it has none."""
+    # The function of a feature is its attribute ``compute``.
+    return getattr(getattr(entry, "compute", entry), "__module__", None) or ""
+
+
+def _file_of(module: str) -> str | None:
+    """Return the file of an imported module: one file can be ``__main__`` and a module of its own name."""
+    return getattr(sys.modules.get(module), "__file__", None)
 
 
 def _is_ours(module: str) -> bool:

@@ -73,6 +73,11 @@ def parse_options(query: str, label: str) -> dict[str, str]:
     return options
 
 
+def escaped_option(value: str) -> str:
+    """Return the value of an option as it is written in a name, so that `parse_options` returns it again."""
+    return value.replace("%", "%25").replace("&", "%26")
+
+
 def number_text(value: float) -> str:
     """Return the shortest text that parses to the same number, such as ``2``, ``0.3`` or ``17.188733853924695``."""
     short = f"{value:g}"

@@ -16,7 +16,7 @@ from activestructure_gym.policies.candidates import Candidates, Observation, lis
 from activestructure_gym.policies.native_settings import NativeSettings
 from activestructure_gym.policies.scored import record_scores
 from activestructure_gym.registry import Registry
-from activestructure_gym.specs import Spec, typed_options
+from activestructure_gym.specs import Spec, escaped_option, typed_options
 
 
 class Policy(ABC):
@@ -182,7 +182,9 @@ def canonical_policy(spec: str) -> Spec:
     name = vars(kind).get("spec", parsed.name)  # only the class's own attribute, not an inherited one
     texts = parsed.options(f"policy '{spec}'")
     kept = [
-        f"{key}={texts[key]}" for key in sorted(texts) if options[key] != defaults.get(key, inspect.Parameter.empty)
+        f"{key}={escaped_option(texts[key])}"
+        for key in sorted(texts)
+        if options[key] != defaults.get(key, inspect.Parameter.empty)
     ]
     return Spec.joined(name, "&".join(kept))
 

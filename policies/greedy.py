@@ -81,6 +81,8 @@ class Greedy(Planner):
 
     def act(self, observation: Observation) -> int:
         """Return the valid row with the highest score; `choose` decides between equal ones."""
+        if not self.required_features:
+            raise InputError(f"{type(self).__name__} needs required_features: the first one is its gain")
         observation = self.only_views(observation)
         name = self.required_features[0]
         gain = self.candidates(observation)[name]

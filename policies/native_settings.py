@@ -14,6 +14,13 @@ Setup = Literal["shared", "native"]
 NATIVE_PRESET: Literal["full"] = "full"
 
 
+# Fields of the configuration that `NativeSettings` has under a name of its own.
+_FIELDS = (
+    "mapper.name", "views.stages", "views.max_candidates", "keyframe_every", "mapper.iterations",
+    "motion.candidate_clearance",
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class NativeSettings:
     """Define the candidate sources, mapper and schedule of a planner's paper; None keeps the default of a field."""
@@ -29,6 +36,10 @@ class NativeSettings:
     budget: str = ""  # budget of the paper, as text: frames, image size, iterations
 
     def __post_init__(self) -> None:
+        named = {"frame_budget": "all planners have the same", "features": "the policy's required_features"}
+        named |= {name: "it has a field of NativeSettings" for name in _FIELDS}
+        if double := [name for name in self.changes if name in named]:
+            raise InputError(f"changes of NativeSettings cannot set {double[0]}: {named[double[0]]}")
         if not self.goal_keyframes:
             return
         if self.keyframe_every is not None:
@@ -57,14 +68,8 @@ class NativeSettings:
     def overrides(self) -> dict[str, Any]:
         """Return the settings as overrides of the env's configuration, by field name such as ``views.stages``."""
         every = 10**6 if self.goal_keyframes else self.keyframe_every  # the last frame of a path is always a keyframe
-        given = {
-            "mapper.name": self.mapper,
-            "views.stages": self.stages,
-            "views.max_candidates": self.candidates,
-            "keyframe_every": every,
-            "mapper.iterations": self.iterations,
-            "motion.candidate_clearance": self.clearance_m,
-        }
+        values = (self.mapper, self.stages, self.candidates, every, self.iterations, self.clearance_m)
+        given = dict(zip(_FIELDS, values))
         return {name: value for name, value in given.items() if value is not None} | dict(self.changes)
 
 

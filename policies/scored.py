@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from activestructure_gym.errors import InputError
+from activestructure_gym.errors import InputError, short_repr
 
 FACTOR = "× "  # begins the name of a term that multiplies the sum of the others
 
@@ -64,8 +64,10 @@ def first_best(rows: np.ndarray, scores: np.ndarray) -> int:
 def record_scores(row: int, scores: np.ndarray, terms: Mapping[str, np.ndarray] | None = None) -> None:
     """Append a comparison to the list of the innermost `recorded_scores`, if there is one.
 
-    Raises `InputError` unless every term has one number per row.
+    Raises `InputError` unless ``terms`` is a mapping and every term has one number per row.
     """
+    if terms is not None and not isinstance(terms, Mapping):
+        raise InputError(f"terms must be a dict of arrays by name, got {short_repr(terms)}")
     copies = {name: np.array(term, np.float64) for name, term in (terms or {}).items()}
     for name, term in copies.items():
         if term.shape != scores.shape:

@@ -18,7 +18,7 @@ from activestructure_gym.checks import check_feature, check_policy, check_source
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.cli import main
 from activestructure_gym.features import FEATURES
-from activestructure_gym.policies import Policy
+from activestructure_gym.policies import NativeSettings, Policy
 from activestructure_gym.policies.base import best_valid
 from activestructure_gym.sources import SOURCES, Proposals, Source
 from activestructure_gym.worlds.simulated_world import SimulatedRobot
@@ -62,6 +62,27 @@ def _drifts(self: Policy, observation: dict[str, np.ndarray]) -> int:
 def test_faulty_policies(act: Callable[[Any, Any], Any], message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check_policy(policy_that(act), "box", frames=40)
+
+
+def test_a_policy_that_keeps_state_or_has_wrong_native_settings_is_refused() -> None:
+    class Remembers(Policy):
+        count = 0
+
+        def act(self, observation: Any) -> int:
+            self.count += 1
+            return best_valid(np.roll(np.arange(len(observation["action_mask"]), dtype=float), self.count), observation)
+
+    with pytest.raises(AssertionError, match="keep no state over reset"):
+        check_policy(Remembers, "box", frames=40)
+
+    class Misspells(Policy):
+        native_settings = NativeSettings(changes={"sensor.widht": 64})
+
+        def act(self, observation: Any) -> int:
+            return best_valid(observation["candidates"][:, 0], observation)
+
+    with pytest.raises(InputError, match="widht"):
+        check_policy(Misspells, "box", frames=40)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
 import json
 
@@ -24,6 +25,25 @@ def test_registered_imported_and_installed_names_are_found(monkeypatch: pytest.M
     assert things.get("installed") == math.e
     assert list(things) == ["installed", "mine"]
     assert "mine" in things and "other" not in things
+
+
+def test_a_name_belongs_to_one_file(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or two versions of a planner in one process would both have the feature that was imported last."""
+    things: Registry[object] = Registry("thing", "things")
+    for name in ("asg_first_version", "asg_second_version"):
+        (tmp_path / f"{name}.py").write_text("def gain(): pass\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    first, second = map(importlib.import_module, ("asg_first_version", "asg_second_version"))
+    things.register("gain")(first.gain)
+    things.register("gain")(first.gain)  # executed again
+    with pytest.raises(
+        InputError, match="'gain' of the module asg_second_version is already registered by asg_first_v"
+    ):
+        things.register("gain")(second.gain)
+    second.__file__ = first.__file__  # as __main__ and the module of its own name
+    things.register("gain")(second.gain)
+    with pytest.raises(InputError, match="register takes a name, as in .*got <function"):
+        things.register(first.gain)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -58,9 +58,13 @@ class Proposals:
     path_length: np.ndarray | None = None  # [n] metres, from ``agent.distances``; None: computed for the table
 
     def __post_init__(self) -> None:
+        if np.shape(self.world_from_camera) == (0,):  # np.array of an empty list of poses
+            object.__setattr__(self, "world_from_camera", np.empty((0, 4, 4)))
         shape = np.shape(self.world_from_camera)
-        if len(shape) != 3 or shape[1:] != (4, 4) or not np.isfinite(self.world_from_camera).all():
-            raise InputError(f"a source must propose finite poses [n, 4, 4], got an array of the shape {shape}")
+        if len(shape) != 3 or shape[1:] != (4, 4):
+            raise InputError(f"a source must propose poses [n, 4, 4], got an array of the shape {shape}")
+        if bad := int((~np.isfinite(self.world_from_camera)).any(axis=(1, 2)).sum()):
+            raise InputError(f"a source must propose finite poses; {bad} of {shape[0]} have NaN or infinite entries")
         if self.look_at is not None and np.shape(self.look_at) != (shape[0], 3):
             raise InputError(
                 f"points to look at must be [n, 3], one for each of the {shape[0]} poses, got {np.shape(self.look_at)}"

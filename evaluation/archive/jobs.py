@@ -188,11 +188,16 @@ def code_of(job: Job) -> Iterator[tuple[str, str]]:
 
 
 def named_in(job: Job) -> Iterator[tuple[Registry[Any], Spec]]:
-    """Yield the parts that a job names, each with its registry: policy, protocols, metrics, parts in the overrides."""
+    """Yield the parts that a job names, each with its registry: policy, protocols, metrics, parts in the overrides.
+
+    `random` names a planner in its option ``views_of``.
+    """
     from activestructure_gym.policies import POLICIES
 
     if job.policy.kind not in ("reference", "trajectory"):
         yield POLICIES, job.policy
+        if job.policy.name == "random" and (planner := job.policy.options("policy 'random'").get("views_of")):
+            yield POLICIES, Spec(planner)
     yield from ((PROTOCOLS, Spec(name)) for name in job.conditions.also)
     yield from ((METRICS, Spec(name)) for name in job.conditions.metrics)
     yield from named_in_overrides(job.conditions.overrides)

@@ -1,8 +1,8 @@
 """Compute checksums of plug-in code: policies, features, candidate sources and mappers outside of this package.
 
-A run stores the checksums of the modules that its job names. A resumed comparison uses them to find runs that were
-played with older code. Modules that these modules import are not included. A scene needs no checksum: a job holds the
-hash of its content.
+A run stores the checksums of the modules that its job and its configuration name. A resumed comparison uses them to
+find runs that were played with older code. Modules that these modules import are not included. A scene needs no
+checksum: a job holds the hash of its content.
 """
 
 from __future__ import annotations
@@ -10,16 +10,19 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import json_files, schema, store
-from activestructure_gym.evaluation.archive.jobs import Job, named_in
+from activestructure_gym.evaluation.archive.jobs import Job, named_in, named_in_overrides
 
 KEY = "own_code"  # entry of a run's `store.CONFIG`; absent without plug-in code
-_CHECK = schema.table({}, {KEY: schema.table(others=schema.text)}, others=schema.anything)
+_CHECK = schema.table(
+    {}, {KEY: schema.table(others=schema.text), "configuration": schema.table()}, others=schema.anything
+)
 _SKIPPED = ("__pycache__", "node_modules")  # folders
 _RUNS = "compare.json"  # marks a comparison's folder, which is skipped
 
@@ -46,10 +49,15 @@ def checksum_of(module: str) -> str | None:
 first_checksum_of = cache(checksum_of)  # call it before the import: it keeps the checksum of the code that runs here
 
 
-def plugin_code_of(job: Job, checksums: Callable[[str], str | None]) -> dict[str, str]:
-    """Return the checksums of a job's plug-in code by kind and name ("policy mine:Mine"), without missing modules."""
+def plugin_code_of(
+    job: Job, checksums: Callable[[str], str | None], configuration: Mapping[str, Any] | None = None
+) -> dict[str, str]:
+    """Return the checksums of a job's plug-in code by kind and name ("policy mine:Mine"), without missing modules.
+
+    With the ``configuration`` of its environment, the features and native settings of its policy are included.
+    """
     found = {}
-    for registry, name in named_in(job):
+    for registry, name in (*named_in(job), *named_in_overrides(configuration or {})):
         module = registry.module_of(name.name)
         total = None if module is None else checksums(module.partition(".")[0])
         if total is not None:
@@ -59,24 +67,24 @@ def plugin_code_of(job: Job, checksums: Callable[[str], str | None]) -> dict[str
 
 def changed_code(directory: Path, job: Job, checksums: Callable[[str], str | None]) -> list[str]:
     """Return the changed plug-in code of a run ("policy mine:Mine"). A missing checksum counts as equal."""
-    now = plugin_code_of(job, checksums)
-    if not now:
-        return []
-    then = _checksums_then(directory)
+    then, configuration = _stored(directory)
+    now = plugin_code_of(job, checksums, configuration)
     return list(now) if then is None else [name for name, total in now.items() if then.get(name, total) != total]
 
 
 def is_unchanged(directory: Path, job: Job, checksums: Callable[[str], str | None]) -> bool:
     """Return whether the run has checksums of plug-in code, and all of this code is unchanged."""
-    then = _checksums_then(directory)
-    return bool(then) and then == plugin_code_of(job, checksums)
+    then, configuration = _stored(directory)
+    return bool(then) and then == plugin_code_of(job, checksums, configuration)
 
 
-def _checksums_then(directory: Path) -> dict[str, str] | None:
+def _stored(directory: Path) -> tuple[dict[str, str] | None, dict[str, Any]]:
+    """Return the checksums and the configuration of a run; None and {} if they cannot be read."""
     try:
-        return dict(json_files.read_json(directory / store.CONFIG, _CHECK).get(KEY, {}))
+        content = json_files.read_json(directory / store.CONFIG, _CHECK)
     except InputError:
-        return None
+        return None, {}
+    return dict(content.get(KEY, {})), content.get("configuration", {})
 
 
 def _files_of(module: str) -> Iterator[tuple[str, Path]]:

@@ -206,6 +206,10 @@ class Comparison:
             named.append(canonical_policy(spec))
             policy = make_policy(spec)
             native = native_settings_of(policy, self.conditions.setup).overrides()
+            try:
+                configure(preset, native)
+            except InputError as error:
+                raise InputError(f"native settings of policy '{spec}': {error}") from error
             features = {"features": tuple(policy.required_features)}
             check_effect(spec, [configure(preset, native | own | features) for own in changes])
         for seed in self.seeds:

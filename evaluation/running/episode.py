@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from activestructure_gym.worlds import StoredCaptures
 
 CHECKPOINTS = 20  # points of the convergence curve after the first
+_LOGGED = ("action_mask", "candidates", "candidate_features")  # entries of an observation that a run stores
 IMAGE_CHECKPOINTS = 10  # points of the PSNR curve after the first; each renders every held-out view
 CHECKPOINT_SAMPLES = 10_000  # surface samples for the completion ratio at a checkpoint: standard error below 0.5 %
 
@@ -122,6 +123,8 @@ def _play(
         began = time.perf_counter()
         policy, env = build(job, where.explored)
         loading += time.perf_counter() - began
+        # The parts that the policy names are known only now.
+        own |= plugin_code_of(job, first_checksum_of, dataclasses.asdict(env.config))
         with closing(env):
             begun(env)
             episode = _Episode(job, env, policy, truth, notify, where.is_over)
@@ -206,12 +209,13 @@ class _Episode:
         truncated = stopped = False
         while not (ended or truncated):
             began = time.perf_counter()
+            seen = {name: np.array(observation[name]) for name in _LOGGED}  # the policy may write into its observation
             with recorded_scores() as comparisons:
                 action = chosen_row(self.job.policy, env, policy.act(observation))
             self._policy_seconds += time.perf_counter() - began
             if self.decisions is not None:
-                self.decisions.add(observation, action, comparisons)
-            step = self._describe(observation, action)
+                self.decisions.add(seen, action, comparisons)
+            step = self._describe(seen, action)
             observation, _, ended, truncated, info = env.step(action)
             stopped = self._is_over()
             ended |= stopped

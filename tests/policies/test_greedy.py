@@ -124,3 +124,8 @@ def test_one_policy_has_one_name() -> None:
     assert canonical_policy("halving_here?travel=shared&frames=3") == "halving_here?frames=3&travel=shared"
     assert canonical_policy("halving_here?frames=10&travel=native") == "halving_here"
     assert canonical_policy("random") == "random"
+    # An escaped option has the same value however often its name is written.
+    odd = canonical_policy("random?views_of=a%26b%2526")
+    assert canonical_policy(odd) == odd and odd.options("it") == {"views_of": "a&b%26"}
+    with pytest.raises(InputError, match="Bare needs required_features"):
+        type("Bare", (Greedy,), {})().act({"action_mask": np.ones(2, np.int8), "candidates": np.zeros((2, 8))})

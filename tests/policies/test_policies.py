@@ -229,6 +229,8 @@ def test_a_term_has_one_number_per_row(rng: np.random.Generator, term: object) -
     """A run with other terms would fail after the decision, or have files that cannot be read."""
     with pytest.raises(InputError, match=r"term 'mine' must have one number per row, \(3,\), got \("):
         best_valid(np.ones(3), observation(rng, rows=3, valid=2), {"mine": term})
+    with pytest.raises(InputError, match=r"terms must be a dict of arrays by name, got \[1, 2\]"):
+        best_valid(np.ones(3), observation(rng, rows=3, valid=2), [1, 2])  # type: ignore[arg-type]
 
 
 def test_a_third_party_policy_registers_in_a_few_lines(rng: np.random.Generator) -> None:

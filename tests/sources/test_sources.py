@@ -250,6 +250,9 @@ def test_what_cannot_be_a_source_is_said(spec: str, message: str) -> None:
 def test_proposals_are_checked() -> None:
     with pytest.raises(InputError, match=r"poses \[n, 4, 4\]"):
         Proposals(np.zeros((3, 4)))
+    with pytest.raises(InputError, match="finite poses; 1 of 2 have NaN"):
+        Proposals(np.stack([np.eye(4), np.full((4, 4), np.nan)]))
+    assert len(Proposals(np.array([]))) == 0  # of an empty list of poses
     with pytest.raises(InputError, match="points to look at"):
         Proposals(np.tile(np.eye(4), (2, 1, 1)), look_at=np.zeros((1, 3)))
     with pytest.raises(InputError, match=r"path_length must be \[2\], one per pose, got \(1,\)"):

@@ -237,6 +237,7 @@ def test_a_run_directory_s_name_fits_into_a_file_system():
         ({"scene": "subprocess:getoutput?cmd=touch hacked"}, "scene"),
         ({"scene": "room:getoutput"}, "scene"),  # a generated scene's name is no reader's
         ({"policy": "os:system?command=touch hacked"}, "policy"),
+        ({"policy": "random?views_of=os:system"}, "policy"),
         ({"conditions": Conditions(overrides={"features": ["pixel", "os:system"]})}, "feature"),
         ({"conditions": Conditions(overrides={"features": "os:system"})}, "feature"),
         ({"conditions": Conditions(overrides={"mapper.name": "os:system"})}, "mapper"),

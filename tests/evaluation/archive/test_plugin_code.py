@@ -130,6 +130,23 @@ def test_runs_without_a_sum_count_as_equal_and_those_that_cannot_be_read_do_not(
         assert changed_code(run, job, now) == ["policy mine_e:Mine"] and not is_unchanged(run, job, now)
 
 
+def test_what_the_policy_brings_counts_too(here: Path):
+    """Its features, sources and mapper, which the configuration of the run names."""
+    run, job = here / "run", Job("box", "mine_h:Mine", 0)
+    run.mkdir()
+    configuration = {
+        "features": ["mine_i:gain"], "mapper": {"name": "mine_j:Config"}, "views": {"stages": [["mine_k:Near?m=1"]]}
+    }  # fmt: skip
+    checksums = dict.fromkeys(("mine_h", "mine_i", "mine_j", "mine_k"), "a" * 64)
+    own = plugin_code_of(job, checksums.get, configuration)
+    assert len(own) == 4
+    json_files.write_json(run / store.CONFIG, {"own_code": own, "configuration": configuration})
+    assert changed_code(run, job, checksums.get) == [] and is_unchanged(run, job, checksums.get)
+    for module, part in (("mine_i", "feature"), ("mine_j", "mapper"), ("mine_k", "candidate source")):
+        (changed,) = changed_code(run, job, {**checksums, module: "b" * 64}.get)
+        assert changed.startswith(part) and not is_unchanged(run, job, {**checksums, module: "b" * 64}.get)
+
+
 def test_a_run_is_as_it_was_only_where_all_its_own_code_is_there(here: Path):
     run, job = (
         here / "run",

@@ -141,15 +141,19 @@ def check_feature(name: str, scene: SceneSpec = "room") -> Checked:
     """
     feature, columns, times = FEATURES.get(name), column_names((name,)), list[float]()
     decisions = 0
-    for env in _played(scene, features=(name,)):
+    for env, without in zip(_played(scene, features=(name,)), _played(scene, features=())):
         episode = env.reconstruction
+        equal = _digest(episode) == _digest(without.reconstruction)
+        assert equal, f"feature '{name}' changed the map, the volume, the planes or the camera's path"
         poses = episode.candidates.world_from_camera[: episode.candidates.views]
         if not len(poses):
             continue
         decisions += 1
         before = _digest(episode)
         values = [evaluate_features(columns, episode.feature_context(poses)) for _ in range(2)]
-        assert _digest(episode) == before, f"feature '{name}' changed the map, the volume or the planes"
+        assert _digest(episode) == before, (
+            f"feature '{name}' changed the map, the volume, the planes or the camera's path"
+        )
         assert np.array_equal(values[0], values[1]), f"feature '{name}' gave other values when it was computed again"
         low, high = (np.asarray(bound, dtype=np.float32) for bound in (feature.low, feature.high))
         outside = (values[0] < low) | (values[0] > high)
@@ -194,7 +198,9 @@ def check_source(name: str, scene: SceneSpec = "room") -> Checked:
             before, began = _digest(episode), time.perf_counter()
             episode._offer()
             times.append((time.perf_counter() - began) * _ROWS / max(len(episode.candidates), 1))
-            assert _digest(episode) == before, f"source '{name}' changed the map, the volume or the planes"
+            assert _digest(episode) == before, (
+                f"source '{name}' changed the map, the volume, the planes or the camera's path"
+            )
             own = episode.candidates.source == 0
             offered.append(episode.candidates.world_from_camera[own].copy())
             for pose in offered[-1]:
@@ -268,10 +274,11 @@ def _played(scene: SceneSpec, **options: Any) -> Iterator[ReconstructionEnv]:
 
 
 def _digest(episode: Reconstruction) -> str:
-    """Return a checksum of the map, the volume and the planes."""
+    """Return a checksum of the map, the volume, the planes and the camera's path."""
     total = hashlib.sha256()
     gaussians = episode.mapper.map
-    for array in (gaussians.parameters[:, : gaussians.count], episode.volume.state, episode.volume.tsdf):
+    path = np.array([*episode.trajectory, episode.pose])
+    for array in (gaussians.parameters[:, : gaussians.count], episode.volume.state, episode.volume.tsdf, path):
         total.update(np.ascontiguousarray(array).tobytes())
     for array in graph_arrays(episode.planes).values():
         total.update(np.ascontiguousarray(array).tobytes())

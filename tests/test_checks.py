@@ -85,14 +85,21 @@ def test_a_policy_that_keeps_state_or_has_wrong_native_settings_is_refused() -> 
         check_policy(Misspells, "box", frames=40)
 
 
+def _clips(context: Any) -> np.ndarray:
+    gaussians = context.mapper.map
+    np.minimum(gaussians.parameters[10, : gaussians.count], -2.0, out=gaussians.parameters[10, : gaussians.count])
+    return np.zeros(len(context.world_from_camera))
+
+
 @pytest.mark.parametrize(
     ("compute", "message"),
     [
+        (_clips, "changed the map"),  # the second time it changes nothing
         (lambda context: np.full(len(context.world_from_camera), 2.0), "outside its declared bounds"),
         (lambda context: np.random.default_rng().random(len(context.world_from_camera)), "other values"),
         (
             lambda context: (context.volume.tsdf.__iadd__(0.5), np.zeros(len(context.world_from_camera)))[1],
-            "changed the map, the volume or the planes",
+            "changed the map, the volume, the planes or the camera's path",
         ),
     ],
 )

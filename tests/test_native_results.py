@@ -197,14 +197,18 @@ def test_what_is_said_of_native_runs_is_that_of_the_runs() -> None:
     assert f"`frontier` and `r3_recon` {low:.1f} to {high:.1f}." in told
     low, high = spread("gs_planner", "hgs_planner")
     assert f"`gs_planner` and `hgs_planner` end {low:.1f} to {high:.1f} points above chance on their views." in told
-    low, high = spread("gavis")
-    assert f"`gavis` ends {low:.1f} to {high:.1f} points above chance on its views**" in told
+    low, high = spread("gavis", "next_best_sense")
+    assert f"`gavis` and `next_best_sense` end {low:.1f} to {high:.1f} points above chance on their views**" in told
     low, high = spread("fisherrf", "view_angle")
-    assert f"`fisherrf` and `view_angle` {low:.1f} to {high:+.1f}:" in told
+    assert f"`fisherrf` and `view_angle` {low:.1f} to {high:+.1f}. The control" in told
+    low, high = spread("popgs_info_trace")
+    assert f"`popgs_info_trace` ends {-high:.1f} to {-low:.1f} below" in told
     low, high = spread("gauss_mi")
     assert f"`gauss_mi` ends {low:.1f} to {high:.1f} points above chance on its moves.**" in told
     low, high = spread("hole_area", "unknown_volume", "unseen", "learned")
     assert f"Our planners of unseen space end {low:.1f} to {high:.1f} points above chance**" in told
+    low, high = spread(*(f"activestructure{variant}" for variant in ("", "-a", "-b", "-c", "-d")))
+    assert f"`activestructure` and its variants {low:.1f} to {high:.1f}." in told
     low, high = spread("naruto", "anm_s", "activesplat")
     assert f"`naruto`, `anm_s` and `activesplat` end {low:+.1f} to {high:+.1f} points from chance" in told
     low, high = spread("activeinr", "rt_guide")

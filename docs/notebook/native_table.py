@@ -46,9 +46,7 @@ FLOOR = "random?views_of="  # begins the name of chance with the native settings
 # Planners with rows that precede a change of their rules, settings or planes (commits
 # 5294a620, f918d54e, ee3ceb57 and d2991832).
 OUTDATED = frozenset(
-    """activestructure activestructure-b activestructure-c activestructure-d fisherrf_path
-    next_best_sense popgs_cov_trace popgs_cov_trace_block popgs_info_trace popgs_logdet
-    popgs_logdet_block popgs_min_eig""".split()
+    """fisherrf_path popgs_cov_trace popgs_cov_trace_block popgs_logdet popgs_logdet_block popgs_min_eig""".split()
 )
 _FIRST = 2  # first point of a drawn curve; the first views show half of a room, which would flatten the curves
 POINTS = 40  # points of a stored curve, at equal distances up to the last frame of the budget

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from activestructure_gym.errors import InputError
+from activestructure_gym.evaluation.archive.jobs import Job
 from activestructure_gym.evaluation.archive.store import TABLES
 from activestructure_gym.evaluation.report import summary
 from activestructure_gym.evaluation.report.results import Results
@@ -78,8 +79,9 @@ def test_graphs_are_shown_where_runs_kept_them(make_run, tmp_path):
 
 
 def test_what_failed_is_named_and_not_counted(make_run, tmp_path):
-    failed = {"room · b · seed 0": "RuntimeError: no"}
-    files = write_report(tmp_path, made([make_run()]), COMPARISON | {"failed": failed}, "b")  # whose runs all failed
+    lost = Job("room", "b", 0)
+    record = COMPARISON | {"jobs": {lost.name: lost.as_dict()}, "failed": {lost.name: "RuntimeError: no"}}
+    files = write_report(tmp_path, made([make_run()]), record, "b")  # whose runs all failed
     assert "Not finished, not counted (1)" in files[-2].read_text() and "RuntimeError: no" in files[-2].read_text()
     assert "RuntimeError: no" in files[-1].read_text()
 

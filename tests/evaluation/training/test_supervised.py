@@ -31,7 +31,7 @@ def demonstrations(seed: int, states: int = 240) -> Demonstrations:
     frames = observations["candidates"][..., CANDIDATE_COLUMNS.index("frames")]
     scores = observations["candidate_features"].prod(-1) / (1 + frames / 5) * observations["action_mask"]
     ends, actions = np.arange(states) % 6 == 5, scores.argmax(axis=1).astype(np.int16)
-    return Demonstrations(observations, scores.astype(np.float32), rng.random(states), ends, actions, ends)
+    return Demonstrations(observations, scores.astype(np.float32), rng.random(states), ends, actions)
 
 
 @pytest.fixture(scope="module")

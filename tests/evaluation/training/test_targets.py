@@ -49,7 +49,7 @@ def test_ordinal_loss_by_hand_and_at_its_beginning() -> None:
 
 def test_returns_stop_at_the_end_of_an_episode() -> None:
     rewards, ends = np.array([1.0, 2.0, 4.0, 8.0]), np.array([False, True, False, True])
-    data = Demonstrations({}, np.zeros((4, 1)), rewards, ends, np.zeros(4, np.int16), ends)
+    data = Demonstrations({}, np.zeros((4, 1)), rewards, ends, np.zeros(4, np.int16))
     assert data.returns(0.5).tolist() == [2.0, 2.0, 8.0, 8.0]
 
 

@@ -45,7 +45,7 @@ WHOLE = "houses_20_house_5"  # scene of the picture and of the table with all me
 FLOOR = "random?views_of="  # begins the name of chance with the native settings of a planner
 # Planners with rows that precede a change of their rules, settings or planes (commits
 # 5294a620, f918d54e, ee3ceb57 and d2991832).
-OUTDATED = frozenset("""fisherrf_path popgs_cov_trace_block popgs_logdet_block popgs_min_eig""".split())
+OUTDATED = frozenset("""fisherrf_path popgs_cov_trace_block popgs_logdet_block""".split())
 _FIRST = 2  # first point of a drawn curve; the first views show half of a room, which would flatten the curves
 POINTS = 40  # points of a stored curve, at equal distances up to the last frame of the budget
 SHOWN = {  # columns by metric: heading, decimals

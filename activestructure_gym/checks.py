@@ -149,11 +149,7 @@ def check_feature(name: str, scene: SceneSpec = "room") -> Checked:
         if not len(poses):
             continue
         decisions += 1
-        before = _digest(episode)
         values = [evaluate_features(columns, episode.feature_context(poses)) for _ in range(2)]
-        assert _digest(episode) == before, (
-            f"feature '{name}' changed the map, the volume, the planes or the camera's path"
-        )
         assert np.array_equal(values[0], values[1]), f"feature '{name}' gave other values when it was computed again"
         low, high = (np.asarray(bound, dtype=np.float32) for bound in (feature.low, feature.high))
         outside = (values[0] < low) | (values[0] > high)

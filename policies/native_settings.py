@@ -38,8 +38,8 @@ class NativeSettings:
     def __post_init__(self) -> None:
         named = {"frame_budget": "all planners have the same", "features": "the policy's required_features"}
         named |= {name: "it has a field of NativeSettings" for name in _FIELDS}
-        if double := [name for name in self.changes if name in named]:
-            raise InputError(f"changes of NativeSettings cannot set {double[0]}: {named[double[0]]}")
+        if taken := [name for name in self.changes if name in named]:
+            raise InputError(f"changes of NativeSettings cannot set {taken[0]}: {named[taken[0]]}")
         if not self.goal_keyframes:
             return
         if self.keyframe_every is not None:

@@ -12,7 +12,7 @@ from typing import Any
 from activestructure_gym.config import configure
 from activestructure_gym.errors import InputError
 from activestructure_gym.evaluation.archive import json_files, run_files, schema, store
-from activestructure_gym.evaluation.archive.jobs import Job
+from activestructure_gym.evaluation.archive.jobs import Job, code_of
 
 _CHECK = schema.table({}, {"configuration": schema.anything}, others=schema.anything)
 
@@ -26,8 +26,8 @@ def changed_native_settings(directory: Path, job: Job) -> list[str]:
     from activestructure_gym.policies import POLICIES, make_policy
     from activestructure_gym.policies.native_settings import native_settings_of
 
-    name = job.policy.name
-    if job.conditions.setup == "shared" or name not in POLICIES or POLICIES.imports(name):
+    plug_in = any(kind == POLICIES.kind for kind, _ in code_of(job))  # importing it would run another person's code
+    if job.conditions.setup == "shared" or job.policy.name not in POLICIES or plug_in:
         return []
     settings = native_settings_of(make_policy(job.policy), job.conditions.setup)
     config = configure(job.conditions.preset, settings.overrides() | dict(job.conditions.overrides))

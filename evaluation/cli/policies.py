@@ -89,12 +89,17 @@ def _describe(facts: dict[str, Any]) -> None:
 
 def features_asked(name: str) -> tuple[str, ...]:
     """Return the feature columns that the policy ``name`` needs; the name may include options, as in active_gs?a=b."""
-    from activestructure_gym.policies import POLICIES, make_policy
     from activestructure_gym.policies.base import features_of
 
+    return features_of(_made(name))
+
+
+def _made(name: str) -> Any:
+    """Return the policy ``name`` with its options, or its class if options without a default are not given."""
+    from activestructure_gym.policies import POLICIES, make_policy
+
     kind: Any = POLICIES.get(Spec(name).name)
-    # Options may change the features; a policy with required options cannot be made from its bare name.
-    return features_of(kind if _required(kind) and "?" not in name else make_policy(name))
+    return kind if _required(kind) and "?" not in name else make_policy(name)
 
 
 def _required(kind: type) -> list[str]:
@@ -102,21 +107,19 @@ def _required(kind: type) -> list[str]:
 
 
 def _policy_facts(name: str) -> dict[str, Any]:
-    from activestructure_gym.policies import POLICIES, make_policy
-    from activestructure_gym.policies.base import features_of
+    from activestructure_gym.policies import POLICIES
     from activestructure_gym.policies.native_settings import native_settings_of
 
     kind: Any = POLICIES.get(Spec(name).name)
-    made = kind if _required(kind) and "?" not in name else make_policy(name)  # options may change it
     parameters = inspect.signature(kind).parameters.values()
     about = _docstring(kind)
     return {
         "name": name,
         "criterion": kind.criterion or about.partition("\n")[0],
-        "features": list(features_of(made)),
+        "features": list(features_asked(name)),
         "travel_term": kind.travel_term,
         "source": kind.source,
-        "native": native_settings_of(made, "native").describe(),
+        "native": native_settings_of(_made(name), "native").describe(),
         "options": {p.name: None if p.default is p.empty else p.default for p in parameters},
         "required": _required(kind),
         "about": about,

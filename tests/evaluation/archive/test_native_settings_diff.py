@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -86,3 +87,8 @@ def test_a_run_of_another_schedule_is_played_again_and_counts_where_that_is_back
 
 
 FIELDS = "mapper.iterations, views.stages, views.max_candidates, motion.candidate_clearance"
+
+
+def test_chance_on_the_views_of_own_code_imports_none_of_it(tmp_path: Path) -> None:
+    job = Job("box", "random?views_of=this:Zen", 0, conditions=Conditions(setup="native", preset="fast"))
+    assert changed_native_settings(tmp_path, job) == [] and "this" not in sys.modules
